@@ -1,0 +1,141 @@
+"""Scenes and cameras: immutable pytrees, the activations, and which rows can be rendered.
+
+Parameters are named by their space. What a .ply stores is `log_scales`, `logit_opacities` and
+quaternions of any length; what the equations use is `scales`, `opacities` and unit quaternions,
+which are properties here. World to camera is `viewmat`, with OpenCV axes (x right, y down, z
+forward); `K` is in pixels and the centre of the first pixel is (0.5, 0.5).
+"""
+
+import dataclasses
+import functools
+
+import chex
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+Array = jax.Array | np.ndarray
+
+MAX_LOG_SCALE = 40.0
+"""Log scales above this overflow float32 once squared and projected."""
+
+
+@chex.dataclass(frozen=True, kw_only=True, mappable_dataclass=False)
+class Gaussians:
+    """N Gaussians in the parameters that a 3DGS file stores, all float32.
+
+    Attributes:
+        means: Centres in world units, shape (N, 3).
+        log_scales: Logarithms of the standard deviations along the axes, shape (N, 3).
+        quats: Rotations as wxyz quaternions, not necessarily normalised, shape (N, 4).
+        logit_opacities: Opacities before the sigmoid, shape (N,).
+        sh: Spherical harmonics of the colour, shape (N, K, 3) with K = (degree + 1)^2.
+    """
+
+    means: Array
+    log_scales: Array
+    quats: Array
+    logit_opacities: Array
+    sh: Array
+
+    def __len__(self) -> int:
+        """The number of Gaussians."""
+        return self.means.shape[0]
+
+    @property
+    def scales(self) -> jax.Array:
+        """Standard deviations along the axes in world units, shape (N, 3)."""
+        return jnp.exp(self.log_scales)
+
+    @property
+    def opacities(self) -> jax.Array:
+        """Opacities in [0, 1], shape (N,)."""
+        return jax.nn.sigmoid(jnp.asarray(self.logit_opacities))
+
+    @property
+    def rotations(self) -> jax.Array:
+        """Unit quaternions wxyz, shape (N, 4); the identity where the stored one is zero."""
+        quats = jnp.asarray(self.quats)
+        # Scaling by the largest entry first keeps the norm from over- or underflowing.
+        largest = jnp.max(jnp.abs(quats), axis=-1, keepdims=True)
+        usable = (largest > 0) & jnp.isfinite(largest)
+        quats = jnp.where(usable, quats / jnp.where(usable, largest, 1.0), IDENTITY[None])
+        return quats / jnp.linalg.norm(quats, axis=-1, keepdims=True)
+
+    @property
+    def sh_degree(self) -> int:
+        """Degree of the spherical harmonics, 0 to 3."""
+        return round(self.sh.shape[1] ** 0.5) - 1
+
+    def take(self, rows: Array) -> "Gaussians":
+        """The Gaussians of these rows (indices or a boolean mask), in that order."""
+        return jax.tree.map(lambda leaf: leaf[rows], self)
+
+
+IDENTITY = np.array([1, 0, 0, 0], np.float32)
+
+
+@functools.partial(
+    jax.tree_util.register_dataclass,
+    data_fields=["viewmat", "K"],
+    meta_fields=["width", "height", "name"],
+)
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Camera:
+    """A pinhole camera. Width, height and name are static, the rest are leaves.
+
+    The jitted functions of this package are given `viewmat`, `K` and the image size only, so a
+    camera of another name recompiles nothing. (A chex.dataclass has no static fields.)
+
+    Attributes:
+        viewmat: World to camera, OpenCV axes, shape (4, 4) float32.
+        K: Intrinsics in pixels, shape (3, 3) float32.
+        width: Image width in pixels.
+        height: Image height in pixels.
+        name: What masks and outputs of this view are called; may hold dots and folders.
+    """
+
+    viewmat: Array
+    K: Array
+    width: int
+    height: int
+    name: str = ""
+
+    @property
+    def center(self) -> np.ndarray:
+        """Position of the camera in the world, shape (3,) float32."""
+        viewmat = np.asarray(self.viewmat)
+        return -viewmat[:3, :3].T @ viewmat[:3, 3]
+
+    def scaled(self, factor: float) -> "Camera":
+        """The same camera with an image `factor` times as wide and high, at least one pixel."""
+        width = max(1, round(self.width * factor))
+        height = max(1, round(self.height * factor))
+        zoom = np.array([width / self.width, height / self.height, 1.0], np.float32)
+        return dataclasses.replace(
+            self, K=np.asarray(self.K) * zoom[:, None], width=width, height=height
+        )
+
+
+def invalid_rows(gaussians: Gaussians) -> dict[str, np.ndarray]:
+    """Which Gaussians cannot be rendered, by reason.
+
+    Args:
+        gaussians: N Gaussians as stored.
+
+    Returns:
+        Boolean arrays of shape (N,) by reason; a row may have several. Opacities of plus infinity
+        are legal (fully opaque), minus infinity is merely invisible, and a zero quaternion is not.
+    """
+    host = jax.tree.map(np.asarray, gaussians)
+    finite_sh = np.isfinite(host.sh).all(axis=(1, 2))
+    quats = np.isfinite(host.quats).all(axis=1)
+    return {
+        "position not finite": ~np.isfinite(host.means).all(axis=1),
+        "scale not finite": ~(np.isfinite(host.log_scales) | np.isneginf(host.log_scales)).all(1),
+        "scale too large (is it in log space?)": (host.log_scales > MAX_LOG_SCALE).any(axis=1),
+        "rotation not finite": ~quats,
+        "rotation zero": quats & ~host.quats.any(axis=1),
+        "opacity not a number": np.isnan(host.logit_opacities),
+        "colour not finite": ~finite_sh,
+    }

@@ -1,0 +1,71 @@
+"""Spherical harmonics to colour, in the real basis and sign convention that 3DGS files use.
+
+A colour is `0.5 + sum_k Y_k(d) h_k`, clamped below at 0, where d is the unit direction from the
+camera to the Gaussian. The constants follow from the orthonormal real harmonics; the Condon-
+Shortley phase is kept, hence the alternating signs (Kerbl et al. 2023; Sloan 2013).
+"""
+
+import jax
+import jax.numpy as jnp
+
+Y0 = 0.28209479177387814
+"""The constant harmonic, 1 / (2 sqrt(pi)): a plain colour c is stored as (c - 0.5) / Y0."""
+
+
+def basis(directions: jax.Array, degree: int) -> jax.Array:
+    """Real spherical harmonics up to a degree.
+
+    Args:
+        directions: Unit vectors, shape (N, 3).
+        degree: Highest degree, 0 to 3.
+
+    Returns:
+        Values of the (degree + 1)^2 harmonics, shape (N, K).
+
+    Raises:
+        ValueError: if the degree is not 0 to 3.
+    """
+    if not 0 <= degree <= 3:
+        raise ValueError(f"degree of the spherical harmonics must be 0 to 3, got {degree}")
+    x, y, z = jnp.moveaxis(directions, -1, 0)
+    xx, yy, zz = x * x, y * y, z * z
+    bands = [
+        [jnp.full_like(x, Y0)],
+        [-0.4886025119029199 * y, 0.4886025119029199 * z, -0.4886025119029199 * x],
+        [
+            1.0925484305920792 * x * y,
+            -1.0925484305920792 * y * z,
+            0.31539156525252005 * (2 * zz - xx - yy),
+            -1.0925484305920792 * x * z,
+            0.5462742152960396 * (xx - yy),
+        ],
+        [
+            -0.5900435899266435 * y * (3 * xx - yy),
+            2.890611442640554 * x * y * z,
+            -0.4570457994644658 * y * (4 * zz - xx - yy),
+            0.3731763325901154 * z * (2 * zz - 3 * xx - 3 * yy),
+            -0.4570457994644658 * x * (4 * zz - xx - yy),
+            1.445305721320277 * z * (xx - yy),
+            -0.5900435899266435 * x * (xx - 3 * yy),
+        ],
+    ]
+    return jnp.stack([value for band in bands[: degree + 1] for value in band], axis=-1)
+
+
+@jax.jit
+def colors(sh: jax.Array, means: jax.Array, center: jax.Array) -> jax.Array:
+    """Colours of the Gaussians as seen from a point.
+
+    Args:
+        sh: Coefficients, shape (N, K, 3) with K = 1, 4, 9 or 16.
+        means: Centres of the Gaussians in the world, shape (N, 3).
+        center: Position of the camera in the world, shape (3,).
+
+    Returns:
+        RGB, shape (N, 3), not negative; may exceed 1.
+    """
+    degree = round(sh.shape[1] ** 0.5) - 1
+    towards = means - center[None]
+    distance = jnp.linalg.norm(towards, axis=-1, keepdims=True)
+    directions = towards / jnp.where(distance > 0, distance, 1.0)
+    return jnp.maximum(0.5 + jnp.einsum("nk,nkc->nc", basis(directions, degree), sh), 0.0)

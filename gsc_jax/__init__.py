@@ -1,8 +1,43 @@
 """gsc_jax finds the tampered Gaussians of a 3D Gaussian Splatting model."""
 
-from gsc_jax.projection import project
+from gsc_jax.decide import rendered_share, view_mask
+from gsc_jax.detectors.folder import FolderDetector
+from gsc_jax.detectors.onnx import OnnxDetector
+from gsc_jax.detectors.onnx_spec import OnnxSpec
+from gsc_jax.errors import InputError
+from gsc_jax.evidence import Evidence
+from gsc_jax.io.cameras import load_cameras, save_cameras
+from gsc_jax.io.ply import load_ply, read_ply, save_ply
+from gsc_jax.locate import METHODS, MethodConfig, Result, locate
+from gsc_jax.loop import LoopConfig
 from gsc_jax.scene import Camera, Gaussians
 from gsc_jax.splat import accumulate_maps as accumulate
 from gsc_jax.splat import make_view, render, render_features
+from gsc_jax.views import orbit_cameras
 
-__all__ = ["Camera", "Gaussians", "accumulate", "make_view", "project", "render", "render_features"]
+__all__ = [
+    "METHODS",
+    "Camera",
+    "Evidence",
+    "FolderDetector",
+    "Gaussians",
+    "InputError",
+    "LoopConfig",
+    "MethodConfig",
+    "OnnxDetector",
+    "OnnxSpec",
+    "Result",
+    "accumulate",
+    "load_cameras",
+    "load_ply",
+    "locate",
+    "make_view",
+    "orbit_cameras",
+    "read_ply",
+    "render",
+    "render_features",
+    "rendered_share",
+    "save_cameras",
+    "save_ply",
+    "view_mask",
+]

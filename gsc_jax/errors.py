@@ -1,4 +1,4 @@
-"""The error for input that somebody can mend: one line that names the file, what is wrong and what to do."""
+"""The error for input that somebody can mend."""
 
 
 class InputError(ValueError):

@@ -3,17 +3,17 @@
 With T = J W R S (Jacobian of the perspective, world to camera, rotation, scales) the image
 covariance is `T T^t + 0.3 I` (Zwicker et al. 2001; Kerbl et al. 2023, eq. 5). Its determinant is
 taken as `|t_0 x t_1|^2 + 0.3 tr + 0.09` (Cauchy-Binet), which stays positive in float32 however
-thin the needle; and the exponent `sigma = d^t Sigma^-1 d / 2` is evaluated as a sum of two squares
-of a whitened offset, so it is never negative. `tests/test_projection.py` holds it to a float64
-reference.
+thin the needle, and divided by c before it can overflow; and the exponent
+`sigma = d^t Sigma^-1 d / 2` is evaluated as a sum of two squares of a whitened offset, so it is
+never negative. `tests/test_projection.py` holds it to a float64 reference.
 """
 
 import functools
 
-import chex
 import jax
 import jax.numpy as jnp
 
+from gsc_jax.pytree import pytree
 from gsc_jax.scene import Array, Camera, Gaussians
 
 NEAR = 0.2
@@ -24,7 +24,7 @@ MIN_ALPHA = 1.0 / 255.0
 """Contributions below this are dropped; also the level set that bounds a splat."""
 
 
-@chex.dataclass(frozen=True, kw_only=True, mappable_dataclass=False)
+@pytree
 class Splats:
     """N projected Gaussians; those that are not `visible` hold finite placeholders.
 
@@ -71,26 +71,26 @@ def _project(gaussians, viewmat, K, near, width: int, height: int) -> Splats:
 
     rows = _image_axes(points / depth[:, None], depth, viewmat, K, width, height)
     axes = rows @ _rotation_matrices(gaussians.rotations) * gaussians.scales[:, None, :]
-    a, c = jnp.sum(axes**2, axis=-1).T
+    a, c = jnp.sum(axes**2, axis=-1).T + LOW_PASS
     b = jnp.sum(axes[:, 0] * axes[:, 1], axis=-1)
-    area = jnp.sum(jnp.cross(axes[:, 0], axes[:, 1]) ** 2, axis=-1)
-    det = area + LOW_PASS * (a + c) + LOW_PASS**2
-    a, c = a + LOW_PASS, c + LOW_PASS
+    thin = jnp.cross(axes[:, 0], axes[:, 1] / jnp.sqrt(c)[:, None])
+    det_over_c = jnp.sum(thin**2, axis=-1) + LOW_PASS * ((a - LOW_PASS) / c + 1.0)
 
     opacities = gaussians.opacities
     reach = 2.0 * jnp.log(opacities / MIN_ALPHA)
     extents = jnp.sqrt(jnp.maximum(reach, 0.0)[:, None] * jnp.stack([a, c], axis=-1))
     size = jnp.array([[width, height]], means.dtype)
     touches = jnp.all((means + extents > 0) & (means - extents < size), axis=-1)
-    finite = jnp.isfinite(means).all(axis=-1) & jnp.isfinite(det) & jnp.isfinite(extents).all(-1)
+    finite = jnp.isfinite(jnp.column_stack([means, extents, det_over_c, gaussians.quats])).all(-1)
+    finite &= jnp.isfinite(gaussians.sh).all(axis=(1, 2))
     visible = in_front & finite & (reach > 0) & touches
 
-    steep = jnp.sqrt(0.5 * c / det)
+    steep = jnp.sqrt(0.5 / det_over_c)
     whitening = jnp.stack([steep, -steep * b / c, jnp.sqrt(0.5 / c)], axis=-1)
     covs = jnp.stack([a, b, c], axis=-1)
-    means, covs, whitening, opacities, reach = (
+    means, covs, whitening, opacities, reach, depths = (
         jnp.where(visible.reshape(-1, *[1] * (leaf.ndim - 1)), leaf, 0.0)
-        for leaf in (means, covs, whitening, opacities, reach)
+        for leaf in (means, covs, whitening, opacities, reach, depths)
     )
     return Splats(
         means=means,
@@ -127,3 +127,22 @@ def _rotation_matrices(quats: jax.Array) -> jax.Array:
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
     return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+@jax.jit
+def project_centers(means: Array, viewmat: Array, K: Array) -> tuple[jax.Array, jax.Array]:
+    """Project centres only, without culling: what the vote looks at.
+
+    Args:
+        means: Centres in the world, shape (N, 3).
+        viewmat: World to camera, shape (4, 4).
+        K: Intrinsics in pixels, shape (3, 3).
+
+    Returns:
+        Pixel coordinates (N, 2), meaningless where the depth is not positive, and depths (N,).
+    """
+    means, viewmat, K = jnp.asarray(means), jnp.asarray(viewmat), jnp.asarray(K)
+    points = means @ viewmat[:3, :3].T + viewmat[None, :3, 3]
+    depths = points[:, 2]
+    rays = points[:, :2] / jnp.where(depths > 0, depths, 1.0)[:, None]
+    return rays * jnp.diag(K)[None, :2] + K[None, :2, 2], depths

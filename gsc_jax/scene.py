@@ -9,10 +9,11 @@ forward); `K` is in pixels and the centre of the first pixel is (0.5, 0.5).
 import dataclasses
 import functools
 
-import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
+
+from gsc_jax.pytree import pytree
 
 Array = jax.Array | np.ndarray
 
@@ -20,7 +21,7 @@ MAX_LOG_SCALE = 40.0
 """Log scales above this overflow float32 once squared and projected."""
 
 
-@chex.dataclass(frozen=True, kw_only=True, mappable_dataclass=False)
+@pytree
 class Gaussians:
     """N Gaussians in the parameters that a 3DGS file stores, all float32.
 

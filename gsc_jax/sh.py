@@ -62,10 +62,11 @@ def colors(sh: jax.Array, means: jax.Array, center: jax.Array) -> jax.Array:
         center: Position of the camera in the world, shape (3,).
 
     Returns:
-        RGB, shape (N, 3), not negative; may exceed 1.
+        RGB, shape (N, 3), not negative; may exceed 1; 0 where it would not be finite.
     """
     degree = round(sh.shape[1] ** 0.5) - 1
     towards = means - center[None]
     distance = jnp.linalg.norm(towards, axis=-1, keepdims=True)
     directions = towards / jnp.where(distance > 0, distance, 1.0)
-    return jnp.maximum(0.5 + jnp.einsum("nk,nkc->nc", basis(directions, degree), sh), 0.0)
+    rgb = jnp.maximum(0.5 + jnp.einsum("nk,nkc->nc", basis(directions, degree), sh), 0.0)
+    return jnp.where(jnp.isfinite(rgb), rgb, 0.0)

@@ -1,7 +1,7 @@
 """The blending matrix W of a view, applied: `composite` is W c, `accumulate` its adjoint W^t m.
 
-For a pixel p and the splats i that cover it, front to back, `W_pi = alpha_i prod_{j<i} (1 - alpha_j)`
-(Kerbl et al. 2023, eq. 3; GS-Checker's rendered attribute, eq. 8). W depends on the scene and the
+For a pixel p and the splats i that cover it, front to back, W_pi = alpha_i prod_{j<i} (1 - alpha_j)
+(Kerbl et al. 2023, eq. 3; GS-Checker's rendered attribute, eq. 9). W depends on the scene and the
 camera only. It is never built: tiles of 8 x 8 pixels walk their depth-sorted lists in lockstep, a
 chunk of splats at a time, and what happens to a pixel is written once for one pixel and vmapped.
 The loop ends early, so JAX cannot reverse through it; `composite` is given `accumulate` as its
@@ -156,7 +156,7 @@ _alphas = jax.vmap(jax.vmap(jax.vmap(alpha_at, (None, 0)), (0, None)))
 _blend = jax.vmap(jax.vmap(blend_pixel, (0, 1), (1, 0)))
 
 
-def _walk(view: View, group: tuple[jax.Array, ...], visit: Callable, carry: Any) -> Any:
+def _walk(view: View, group: tuple[Array, ...], visit: Callable, carry: Any) -> Any:
     """Walk the lists of a group of tiles in lockstep until they end or every pixel has stopped.
 
     `visit(carry, ids, weights)` sees each chunk: ids (tiles, C), weights (tiles, C, pixels).
@@ -181,14 +181,14 @@ def _walk(view: View, group: tuple[jax.Array, ...], visit: Callable, carry: Any)
     return jax.lax.while_loop(unfinished, advance, start)[2]
 
 
-def _pixel_centers(tiles: jax.Array, columns: int) -> jax.Array:
+def _pixel_centers(tiles: Array, columns: int) -> jax.Array:
     """Pixel centres of tiles, shape (tiles, 64, 2)."""
     corner = TILE * jnp.stack([tiles % columns, tiles // columns], axis=-1)
     y, x = jnp.divmod(jnp.arange(TILE * TILE), TILE)
     return (corner[:, None, :] + jnp.stack([x, y], axis=-1)[None]).astype(jnp.float32) + 0.5
 
 
-def _groups(view: View) -> tuple[jax.Array, ...]:
+def _groups(view: View) -> tuple[Array, ...]:
     return tuple(x.reshape(-1, view.lockstep) for x in (view.tiles, view.starts, view.counts))
 
 

@@ -46,10 +46,11 @@ def bin_splats(splats: Splats, width: int, height: int) -> TileLists:
     columns, rows = -(-width // TILE), -(-height // TILE)
     order = _front_to_back(np.asarray(splats.depths), np.asarray(splats.visible))
     means, covs, reach = (np.asarray(x)[order] for x in (splats.means, splats.covs, splats.reach))
+    minor = np.float32(0.5) / np.asarray(splats.whitening)[order, 0] ** 2
 
     first_row, last_row = _span(means[:, 1], np.sqrt(reach * covs[:, 2]), rows)
     owner, row = _expand(first_row, last_row)
-    left, right = _cut(means[owner], covs[owner], reach[owner], row)
+    left, right = _cut(means[owner], covs[owner], minor[owner], reach[owner], row)
     first, last = _tile_range(left, right, columns)
     strip, column = _expand(first, last)
 
@@ -82,7 +83,7 @@ def _tile_range(low: np.ndarray, high: np.ndarray, tiles: int) -> tuple[np.ndarr
     """First and last tile whose pixel centres [8 t + 0.5, 8 t + 7.5] meet [low, high], clipped."""
     first = np.ceil((low - (TILE - 0.5)) / TILE)
     last = np.floor((high - 0.5) / TILE)
-    return np.maximum(first, 0).astype(np.int32), np.minimum(last, tiles - 1).astype(np.int32)
+    return np.clip(first, 0, tiles).astype(np.int32), np.clip(last, -1, tiles - 1).astype(np.int32)
 
 
 def _expand(first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -93,22 +94,23 @@ def _expand(first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray
     return owner, np.arange(len(owner), dtype=np.int32) + (first - offset)[owner]
 
 
-def _cut(means, covs, reach, row) -> tuple[np.ndarray, np.ndarray]:
+def _cut(means, covs, minor, reach, row) -> tuple[np.ndarray, np.ndarray]:
     """Leftmost and rightmost x of each ellipse inside the strip of pixel centres of a tile row.
 
     On the ellipse, x = (b / c) dy +- sqrt((reach - dy^2 / c) det / c). The right end is concave in
     dy with its summit where the ellipse is rightmost, the left end mirrors it, so clamping the
-    summit to the strip finds both.
+    summit to the strip finds both. `minor` is det / c, from the whitening: a c - b^2 would cancel
+    for a needle.
     """
     a, b, c = covs.T
     bottom = np.sqrt(reach * c)
     low = np.maximum(row * np.float32(TILE) + np.float32(0.5) - means[:, 1], -bottom)
     high = np.minimum(row * np.float32(TILE) + np.float32(TILE - 0.5) - means[:, 1], bottom)
     summit = b * np.sqrt(reach / a)
-    slope, det = b / c, np.maximum(a * c - b * b, 0)
+    slope = b / c
 
     def half_width(dy):
-        return np.sqrt(np.maximum(reach - dy * dy / c, 0) * det / c)
+        return np.sqrt(np.maximum(reach - dy * dy / c, 0) * minor)
 
     right, left = np.clip(summit, low, high), np.clip(-summit, low, high)
     return (

@@ -1,0 +1,1 @@
+"""Made scenes, simulated detectors and metrics with exact truth."""

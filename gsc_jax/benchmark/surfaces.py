@@ -1,0 +1,287 @@
+"""Surfaces to Gaussians: what training would leave on a textured quad, box or solid of revolution.
+
+`quad`, `box` and `revolve` give surfaces, a `Part` adds a texture and `made_of` shares a number of
+Gaussians among parts. They are flat, lie on the surface, are sized after the spacing to their
+neighbours with a log-normal spread and mostly opaque with a tail; quaternions have any sign and
+length, colours a weak dependence on the view. `Habits` holds these statistics, so that two models
+can differ in them. Points lie on a golden lattice, which stays even at any stretch of a surface.
+
+Metres, y down.
+"""
+
+import dataclasses
+import functools
+import importlib.resources
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from gsc_jax.errors import InputError
+from gsc_jax.scene import Gaussians
+from gsc_jax.sh import Y0
+
+Vector = Sequence[float] | np.ndarray
+
+GOLDEN = (np.sqrt(5) - 1) / 2
+LAMP = np.array([0.4, -2.3, -0.3])
+UP, RIGHT, FRONT = np.array([0, -1.0, 0]), np.array([1.0, 0, 0]), np.array([0, 0, -1.0])
+
+
+class Surface(NamedTuple):
+    """An area and a map from (M, 2) coordinates in [0, 1] to points and outward unit normals.
+
+    The map stretches area evenly along the second coordinate, so even coordinates give even points.
+    """
+
+    area: float
+    at: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+
+
+class Texture(NamedTuple):
+    """An image that ships inside scikit-image, how often it repeats, and what multiplies it."""
+
+    image: str
+    tint: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    repeat: tuple[float, float] = (1.0, 1.0)
+    contrast: float = 1.0
+
+
+class Part(NamedTuple):
+    """A surface with its texture; `detail` is its share of Gaussians per area."""
+
+    surface: Surface
+    texture: Texture
+    detail: float = 1.0
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Habits:
+    """What a training leaves behind: statistics of the Gaussians on a surface.
+
+    Attributes:
+        overlap: Median standard deviation in the surface, in units of the spacing.
+        thickness: Median standard deviation across the surface, in the same unit.
+        spread: Standard deviation of the log scales.
+        opacity: Mean and standard deviation of the logit opacities; a tail is added below.
+        gloss: How much brighter a surface looks head-on than at a grazing angle.
+        lit: How much of the colour follows the lamp of the room.
+    """
+
+    overlap: float = 0.62
+    thickness: float = 0.08
+    spread: float = 0.22
+    opacity: tuple[float, float] = (3.2, 1.3)
+    gloss: float = 0.04
+    lit: float = 0.55
+
+
+def quad(corner: Vector, u: np.ndarray, v: np.ndarray) -> Surface:
+    """A parallelogram; seen from its front, u runs to the right and v down."""
+    cross = np.cross(v, u)
+    area = float(np.linalg.norm(cross))
+
+    def at(uv: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return np.asarray(corner) + uv @ np.stack([u, v]), np.tile(cross / area, (len(uv), 1))
+
+    return Surface(area, at)
+
+
+def panel(center: Vector, normal: np.ndarray, width: float, height: float) -> Surface:
+    """An upright rectangle that faces along a horizontal normal."""
+    right, down = width * np.cross(UP, normal), -height * UP
+    return quad(np.asarray(center) - right / 2 - down / 2, right, down)
+
+
+def flat(center: Vector, width: float, depth: float) -> Surface:
+    """A level rectangle that faces up."""
+    right, near = width * RIGHT, depth * FRONT
+    return quad(np.asarray(center) - right / 2 - near / 2, right, near)
+
+
+def box(foot: Vector, width: float, height: float, depth: float) -> list[Surface]:
+    """A box that stands on the centre of its lower face, which is left out."""
+    foot = np.asarray(foot)
+    sides = [(RIGHT, width, depth), (-RIGHT, width, depth), (FRONT, depth, width)]
+    sides.append((-FRONT, depth, width))
+    faces = [
+        panel(foot + UP * height / 2 + normal * across / 2, normal, along, height)
+        for normal, across, along in sides
+    ]
+    return [*faces, flat(foot + UP * height, width, depth)]
+
+
+def revolve(profile: np.ndarray, foot: Vector, *, axis: int = 1) -> Surface:
+    """A surface of revolution about an axis through a point.
+
+    Args:
+        profile: Radius and height of the curve, upwards for an outside, shape (P, 2).
+        foot: Where height 0 lies.
+        axis: Index of the axis of revolution; heights count against it, so up for the y axis.
+
+    Returns:
+        The surface; the first coordinate goes around it.
+    """
+    pieces = np.diff(profile, axis=0)
+    middle = (profile[1:, 0] + profile[:-1, 0]) / 2
+    area = np.append(0, np.cumsum(2 * np.pi * middle * np.linalg.norm(pieces, axis=1)))
+    slope = np.gradient(profile, axis=0)
+    slope /= np.linalg.norm(slope, axis=1, keepdims=True)
+
+    def around(angle: np.ndarray, radius: np.ndarray, height: np.ndarray) -> np.ndarray:
+        upright = np.stack([radius * np.cos(angle), -height, radius * np.sin(angle)], axis=-1)
+        return np.roll(upright, axis - 1, axis=-1)
+
+    def at(uv: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        angle, along = 2 * np.pi * uv[:, 0], uv[:, 1] * area[-1]
+        radius, height, dr, dh = (
+            np.interp(along, area, column) for column in np.hstack([profile, slope]).T
+        )
+        return np.asarray(foot) + around(angle, radius, height), around(angle, dh, -dr)
+
+    return Surface(float(area[-1]), at)
+
+
+def ellipsoid(center: Vector, radius: float, height: float) -> Surface:
+    """An ellipsoid with a vertical axis, `height` from pole to pole."""
+    angle = np.linspace(-np.pi / 2, np.pi / 2, 65)
+    profile = np.stack([radius * np.cos(angle), height / 2 * np.sin(angle)], axis=-1)
+    return revolve(profile, center)
+
+
+def cylinder(foot: Vector, bottom: float, top: float, height: float) -> Surface:
+    """A cylinder or cone of two radii, closed at the top."""
+    side = np.stack([np.linspace(bottom, top, 33), np.linspace(0, height, 33)], axis=-1)
+    lid = np.stack([np.linspace(top, 0, 9)[1:], np.full(8, height)], axis=-1)
+    return revolve(np.concatenate([side, lid]), foot)
+
+
+@functools.cache
+def _image(name: str, block: int = 1) -> np.ndarray:
+    """RGB in [0, 1] of a file inside scikit-image, blocks of texels averaged."""
+    import imageio.v3 as iio
+    from skimage.transform import downscale_local_mean
+
+    if block > 1:
+        return downscale_local_mean(_image(name), (block, block, 1))
+    path = importlib.resources.files("skimage") / "data" / name
+    if not path.is_file():
+        raise InputError(
+            f"{path}: texture not found; reinstall scikit-image >= 0.24 from its wheel"
+        )
+    image = iio.imread(path.read_bytes()).astype(np.float32) / 255
+    return np.repeat(image[..., None], 3, -1) if image.ndim == 2 else image[..., :3]
+
+
+def textured(texture: Texture, uv: np.ndarray) -> np.ndarray:
+    """Colours of a texture at even coordinates, averaged over blocks so that nothing aliases.
+
+    Args:
+        texture: The texture.
+        uv: Coordinates in [0, 1], column then row, shape (M, 2).
+
+    Returns:
+        RGB in [0, 1], shape (M, 3).
+    """
+    from scipy.ndimage import map_coordinates
+
+    rows, columns = _image(texture.image).shape[:2]
+    texels = np.sqrt(np.prod(texture.repeat) * rows * columns / len(uv))
+    image = _image(texture.image, int(np.clip(round(texels), 1, min(rows, columns) // 8)))
+    column, row = (uv * texture.repeat * image.shape[1::-1] - 0.5).T
+    channels = [
+        map_coordinates(channel, [row, column], order=1, mode="grid-wrap")
+        for channel in np.moveaxis(image, -1, 0)
+    ]
+    rgb = np.stack(channels, axis=-1)
+    mean = rgb.mean(axis=0)
+    return np.clip((mean + texture.contrast * (rgb - mean)) * texture.tint, 0, 1)
+
+
+def made_of(
+    parts: Sequence[Part], count: int, *, habits: Habits, rng: np.random.Generator
+) -> Gaussians:
+    """Gaussians on the surfaces of parts.
+
+    Args:
+        parts: What is to be covered; each gets Gaussians by area times detail.
+        count: Number of Gaussians N.
+        habits: Their statistics.
+        rng: Source of randomness.
+
+    Returns:
+        N Gaussians of degree 1, in the order of the parts.
+
+    Raises:
+        ValueError: if the count is not positive.
+        InputError: if the installed scikit-image lacks its images.
+    """
+    if count < 1:
+        raise ValueError(f"count of Gaussians must be at least 1, got {count}")
+    shares = np.cumsum([part.surface.area * part.detail for part in parts])
+    counts = np.diff(np.rint(shares / shares[-1] * count).astype(int), prepend=0)
+    covered = [_cover(p, n, habits, rng) for p, n in zip(parts, counts, strict=True) if n]
+    return surfels(*map(np.concatenate, zip(*covered, strict=True)), habits=habits, rng=rng)
+
+
+def _cover(
+    part: Part, count: int, habits: Habits, rng: np.random.Generator
+) -> tuple[np.ndarray, ...]:
+    """Points, normals, colours and spacings of a part."""
+    index = np.arange(count)
+    uv = np.stack([(index * GOLDEN + rng.random()) % 1, (index + 0.5) / count], axis=-1)
+    points, normals = part.surface.at(uv)
+    towards = LAMP - points
+    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    lambert = np.clip((normals * towards).sum(axis=1, keepdims=True), 0, 1)
+    colors = textured(part.texture, uv) * (1 - habits.lit + habits.lit * (0.2 + lambert))
+    return points, normals, colors, np.full(count, np.sqrt(part.surface.area / count))
+
+
+def surfels(
+    points: np.ndarray,
+    normals: np.ndarray,
+    colors: np.ndarray,
+    spacing: np.ndarray,
+    *,
+    habits: Habits,
+    rng: np.random.Generator,
+) -> Gaussians:
+    """Flat Gaussians of degree 1 at points of a surface.
+
+    Args:
+        points: Where they lie, shape (N, 3).
+        normals: Directions out of the surface, shape (N, 3).
+        colors: RGB in [0, 1], shape (N, 3).
+        spacing: Distance to the neighbours, shape (N,).
+        habits: Statistics of the rest.
+        rng: Source of randomness.
+
+    Returns:
+        N Gaussians.
+    """
+    from scipy.spatial.transform import Rotation
+
+    count = len(points)
+    normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    tangents = np.cross(normals, rng.normal(size=(count, 3)))
+    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
+    frames = np.stack([tangents, np.cross(normals, tangents), normals], axis=-1)
+    # Files hold quaternions as the optimiser left them: either sign, any length.
+    length = rng.choice([-1, 1], (count, 1)) * rng.lognormal(0, 0.3, (count, 1))
+    size = np.log(spacing)[:, None] + np.log([habits.overlap, habits.overlap, habits.thickness])
+    faint = rng.random(count) < 0.08
+    logits = np.where(faint, rng.normal(-0.5, 1.2, count), rng.normal(*habits.opacity, count))
+    sheen = habits.gloss / (np.sqrt(3) * Y0) * normals[:, [1, 2, 0]] * [1, -1, 1]
+    sh = np.concatenate([(colors[:, None] - 0.5) / Y0, np.repeat(sheen[..., None], 3, -1)], axis=1)
+    sh[:, 1:] += rng.normal(0, 0.03, (count, 3, 3))
+    jitter = (frames[..., :2] @ rng.normal(size=(count, 2, 1)))[..., 0]
+    gaussians = Gaussians(
+        means=points + 0.12 * spacing[:, None] * jitter,
+        log_scales=size + rng.normal(0, habits.spread, (count, 3)),
+        quats=length * Rotation.from_matrix(frames).as_quat(scalar_first=True),
+        logit_opacities=logits,
+        sh=sh,
+    )
+    return jax.tree.map(lambda leaf: leaf.astype(np.float32), gaussians)

@@ -1,0 +1,1 @@
+"""2D tampering detectors: a folder of masks, an ONNX network."""

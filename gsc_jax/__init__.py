@@ -8,8 +8,9 @@ from gsc_jax.errors import InputError
 from gsc_jax.evidence import Evidence
 from gsc_jax.io.cameras import load_cameras, save_cameras
 from gsc_jax.io.ply import load_ply, read_ply, save_ply
-from gsc_jax.locate import METHODS, MethodConfig, Result, locate
+from gsc_jax.locate import Result, locate
 from gsc_jax.loop import LoopConfig
+from gsc_jax.method import METHODS, MethodConfig
 from gsc_jax.scene import Camera, Gaussians
 from gsc_jax.splat import accumulate_maps as accumulate
 from gsc_jax.splat import make_view, render, render_features

@@ -32,6 +32,11 @@ READINGS = {
 }
 """What a pose may be instead of camera-to-world with OpenCV axes: how its viewmat is mended."""
 
+NO_READING = (
+    "; do they belong together? The exporter may have normalised the scene, or the poses may be "
+    "world-to-camera or have OpenGL axes"
+)
+
 
 def orbit_cameras(
     gaussians: Gaussians,
@@ -40,7 +45,7 @@ def orbit_cameras(
     width: int = 640,
     height: int = 480,
     fov_degrees: float = 60.0,
-    up: Array | None = None,
+    up: Array | Sequence[float] | None = None,
     seed: int = 0,
 ) -> list[Camera]:
     """Cameras on a circle around a scene, at three elevations, all looking at its centre.
@@ -118,8 +123,8 @@ def check_views(gaussians: Gaussians, cameras: Sequence[Camera], *, near: float 
     seen = depths > near
     share, share_ahead = seen.any(axis=0).mean(), (depths > 0).any(axis=0).mean()
     if share_ahead < MIN_SHARE:
-        advice = _advice(points, viewmats, cameras)
-        raise InputError(f"the cameras see {share_ahead:.2%} of the Gaussians; {advice}")
+        advice = _reading(points, viewmats, cameras) or NO_READING
+        raise InputError(f"the cameras see {share_ahead:.2%} of the Gaussians{advice}")
     if share < MIN_SHARE:
         raise InputError(_near_message(depths, near))
     warnings = []
@@ -130,7 +135,7 @@ def check_views(gaussians: Gaussians, cameras: Sequence[Camera], *, near: float 
     blind = [camera.name for camera, row in zip(cameras, depths, strict=True) if not row.any()]
     if blind:
         named = ", ".join(blind[:5]) + (", ..." if len(blind) > 5 else "")
-        advice = f"; {_advice(points, viewmats, cameras)}" if 2 * len(blind) > len(cameras) else ""
+        advice = _reading(points, viewmats, cameras)
         warnings.append(f"{len(blind)} of {len(cameras)} cameras see nothing: {named}{advice}")
     return warnings
 
@@ -189,20 +194,22 @@ def _depths(
     return depths
 
 
-def _advice(points: np.ndarray, viewmats: Sequence[np.ndarray], cameras: Sequence[Camera]) -> str:
-    """What to try: the reading of the poses that sees much more, if there is one."""
-    current = np.mean(_depths(points, viewmats, cameras) > 0)
+def _reading(points: np.ndarray, viewmats: Sequence[np.ndarray], cameras: Sequence[Camera]) -> str:
+    """The reading of the poses with which the typical camera sees much more; empty if none is."""
+    current = _typical_share(_depths(points, viewmats, cameras))
     shares = {}
     for reading, mend in READINGS.items():
-        depths = _depths(points, [mend(viewmat) for viewmat in viewmats], cameras)
-        shares[reading] = np.mean(depths > 0)
+        mended = [mend(viewmat) for viewmat in viewmats]
+        shares[reading] = _typical_share(_depths(points, mended, cameras))
     best = max(shares, key=shares.__getitem__)
-    if shares[best] > max(LOW_SHARE, 3 * current):
-        return f"read {best}, each would see {shares[best]:.0%} on average: convert the poses"
-    return (
-        "do they belong together? The exporter may have normalised the scene, or the poses may "
-        "be world-to-camera or have OpenGL axes"
-    )
+    if shares[best] <= max(LOW_SHARE, 3 * current):
+        return ""
+    return f"; read {best}, a camera would typically see {shares[best]:.0%}: convert the poses"
+
+
+def _typical_share(depths: np.ndarray) -> float:
+    # The median, because with any wrong reading some camera looks at the scene by chance.
+    return float(np.median(np.mean(depths > 0, axis=1)))
 
 
 def _near_message(depths: np.ndarray, near: float) -> str:

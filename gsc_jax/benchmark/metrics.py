@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from gsc_jax.decide import rendered_share
 from gsc_jax.scene import Array, Camera, Gaussians
-from gsc_jax.splat import render_features
 
 EPSILON = 1e-8
 
@@ -182,9 +182,7 @@ def truth_mask(gaussians: Gaussians, camera: Camera, labels: Array) -> np.ndarra
         True where more than half of what covers the pixel is tampered and it is covered at all
         (alpha > 0.1), shape (H, W) bool.
     """
-    features = np.asarray(labels, np.float32)[:, None]
-    tampered, alpha = map(np.asarray, render_features(gaussians, camera, features))
-    return (tampered[..., 0] > 0.5 * alpha) & (alpha > 0.1)
+    return rendered_share(gaussians, camera, labels) > 0.5
 
 
 def _binary(values: Array) -> np.ndarray:

@@ -1,0 +1,49 @@
+# Every target works in a fresh clone with nothing but Python 3.11 or newer: what it needs is
+# installed into .venv, and again when pyproject.toml has changed.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+
+.PHONY: help demo test lint bench clean
+
+help:
+	@echo 'make demo    find a pasted object in a made scene; pictures go to demo/'
+	@echo 'make test    ruff, pyright and all tests'
+	@echo 'make lint    ruff and pyright'
+	@echo 'make bench   speed of splatting on this machine'
+	@echo 'make clean   remove .venv, demo/ and caches'
+	@echo 'Another interpreter: make test PYTHON=python3.12'
+
+demo: $(VENV)/installed
+	$(BIN)/gsc-jax demo --out demo
+
+test: lint
+	$(BIN)/python -m pytest
+
+lint: $(VENV)/installed-dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	PYRIGHT_PYTHON_IGNORE_WARNINGS=1 $(BIN)/pyright --pythonpath $(BIN)/python
+
+bench: $(VENV)/installed
+	$(BIN)/python benchmarks/splat.py
+
+clean:
+	rm -rf $(VENV) demo build dist *.egg-info .pytest_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+$(VENV)/installed: pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+	  echo 'gsc_jax needs Python 3.11 or newer, found:'; $(PYTHON) --version; \
+	  echo 'Name another one: make $(MAKECMDGOALS) PYTHON=python3.12'; exit 1; } >&2
+	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { \
+	  echo '$(PYTHON) lacks venv or ensurepip; on Debian: apt install python3-venv'; exit 1; } >&2
+	$(PYTHON) -m venv $(VENV)
+	$(PIP) -e .
+	@touch $@
+
+$(VENV)/installed-dev: $(VENV)/installed
+	$(PIP) -e '.[dev]'
+	@touch $@

@@ -1,0 +1,132 @@
+"""`gsc-jax`: parses the command line, runs the command, and tells people how it went.
+
+Exit codes: 0 done; 2 bad input, said in one line on stderr; 130 interrupted; anything that is our
+fault ends in a traceback and 1. Results go to stdout, warnings and progress to stderr.
+"""
+
+import contextlib
+import importlib.metadata
+import io
+import os
+import re
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import tyro
+
+from gsc_jax.app.demo import run_demo
+from gsc_jax.app.options import Demo, Locate, Render
+from gsc_jax.app.outputs import Located
+from gsc_jax.app.progress import Bars
+from gsc_jax.app.run import run_locate, run_render
+from gsc_jax.errors import InputError
+
+Command = Locate | Render | Demo
+
+DESCRIPTION = """\
+Finds the tampered Gaussians in a 3D Gaussian Splatting model, from what a 2D detector says about
+its views (GS-Checker, in JAX, on the CPU). Start with: gsc-jax demo --out demo
+
+Lengths are in the units of the scene, sizes in pixels. Exit codes: 0 done, 2 bad input, 1 our
+fault."""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs a command.
+
+    Args:
+        argv: Arguments, by default those of the process.
+
+    Returns:
+        The exit code.
+    """
+    argv = sys.argv[1:] if argv is None else argv
+    if list(argv) == ["--version"]:
+        print(f"gsc-jax {importlib.metadata.version('gsc_jax')}")
+        return 0
+    try:
+        _run(_parse(argv))
+    except InputError as error:
+        return _complain(str(error), 2)
+    except BrokenPipeError:  # whoever read our stdout, such as `head`, has had enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except OSError as error:
+        return _complain(f"{error.filename or 'a file'}: {error.strerror or error}", 2)
+    except KeyboardInterrupt:
+        return _complain("interrupted; no file is left half written", 130)
+    return 0
+
+
+def _parse(argv: Sequence[str]) -> Command:
+    """The command; tyro's framed complaints become one line, its help is printed as it is."""
+    complaint = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(complaint):
+            return tyro.cli(
+                Command,
+                prog="gsc-jax",
+                description=DESCRIPTION,
+                args=list(argv),
+                config=(tyro.conf.FlagCreatePairsOff,),
+            )
+    except SystemExit as stop:
+        if not stop.code:
+            raise
+        title, _, text = complaint.getvalue().strip().partition("\n")
+        frame = re.compile(r"[╭╮╰╯│─•]+")
+        parts = [" ".join(frame.sub(" ", part).split()) for part in (title, text)]
+        raise InputError(": ".join(parts)) from None
+
+
+def _run(command: Command) -> None:
+    with Bars() as bars:
+        if isinstance(command, Demo):
+            lines, warnings = run_demo(command, progress=bars), []
+        elif isinstance(command, Render):
+            count, warnings = run_render(command, progress=bars)
+            lines = [f"{count} {'image' if count == 1 else 'images'} in {command.out}"]
+        else:
+            located = run_locate(command, progress=bars)
+            lines, warnings = summary(located, command.out), located.warnings
+    for warning in warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    print(*lines, sep="\n")
+
+
+def summary(located: Located, out: Path) -> list[str]:
+    """What a person wants to know of a run, in a few lines.
+
+    Args:
+        located: The run.
+        out: Where its results are.
+    """
+    labels, views = located.result.labels, len(located.result.masks)
+    found = int(labels.sum())
+    seconds = {name: stage["seconds"] for name, stage in located.stages.items()}
+    slowest = sorted(seconds, key=seconds.__getitem__, reverse=True)[:3]
+    times = ", ".join(f"{name} {seconds[name]:.1f} s" for name in slowest)
+    verdict = (
+        f"{found:,} of {len(labels):,} Gaussians are tampered ({found / len(labels):.1%}); they "
+        f"cover {located.visible_share:.1%} of what {views} views show."
+        if found
+        else f"No tampered Gaussian was found: none of {len(labels):,}, in {views} views."
+    )
+    return [
+        verdict,
+        f"method   {located.result.method}",
+        f"time     {sum(seconds.values()):.1f} s (slowest: {times})",
+        f"look at  {out / 'overview.png'}, {out / 'overlay'}",
+        f"scene    {out / 'tamper.ply'}; for any viewer: {out / 'highlight.ply'}",
+        f"numbers  {out / 'result.json'}, {out / 'labels.npy'}",
+    ]
+
+
+def _complain(message: str, code: int) -> int:
+    print(f"gsc-jax: {' '.join(message.split())}", file=sys.stderr)
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,133 @@
+"""The arguments of the commands, as frozen dataclasses: tyro makes flags and help texts of them.
+
+The docstrings are what `--help` prints, so they speak to whoever types the command. The fields go
+into result.json as they are.
+"""
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from gsc_jax.decide import MaskRule
+from gsc_jax.method import Method
+from gsc_jax.projection import NEAR
+
+_arg = tyro.conf.arg
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Look:
+    """Which scene, and from where: what all commands that look at one share."""
+
+    scene: Annotated[tyro.conf.Positional[Path], _arg(metavar="SCENE.ply")]
+    out: Annotated[Path, _arg(metavar="DIR")]
+    cameras: Annotated[
+        Path | None, _arg(metavar="FILE_OR_DIR", help_behavior_hint="(default: an orbit)")
+    ] = None
+    views: Annotated[int | None, _arg(metavar="N", help_behavior_hint="(default: all)")] = None
+    scale: Annotated[float, _arg(metavar="S")] = 1.0
+    near: Annotated[float, _arg(metavar="DEPTH")] = NEAR
+    seed: Annotated[int, _arg(metavar="K")] = 0
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Locate(Look):
+    r"""Find the tampered Gaussians of a scene.
+
+    Looks at the scene from its cameras, lets a 2D detector judge every view, or reads the masks
+    that one wrote, and works out which Gaussians were tampered with. A mask is grey: black is
+    authentic, white is tampered, and it is named after its camera.
+
+    for example:
+      gsc-jax locate scene.ply --masks masks --out found \
+              --cameras cameras.json
+      gsc-jax locate scene.ply --cameras sparse/0 --out found \
+              --detector net.onnx --preset iml-vit
+
+    written into the folder of --out:
+      overview.png, overlay/   pictures for people
+      tamper.ply               the scene, plus a property tamper
+      highlight.ply            tampered red, the rest grey
+      labels.npy, tamper.npy   bool and score, by row of the scene
+      masks/, detector/        final masks, and the detector's
+      result.json              numbers, warnings, versions
+
+    Attributes:
+        scene: The scene: a 3DGS .ply of any exporter; with the extra `formats` also compressed.ply,
+            spz and sog.
+        out: Folder for the results, made where missing. What an earlier run wrote there is
+            replaced when this one has succeeded.
+        cameras: cameras.json, transforms.json, a COLMAP model (extra `colmap`), or a folder that
+            holds one of them. Without, cameras are placed around the scene.
+        masks: Folder with a mask per camera: CAMERA.png.
+        detector: A 2D detector instead: an ONNX model, which is shown the rendered views.
+        preset: How to feed and read the model: iml-vit, trufor, mvss-net or pscc-net.
+        spec: The same as a TOML file with the fields of `OnnxSpec`, for other models.
+        method: `official`: definitions and schedule of GS-Checker's released code. `paper`: the
+            equations as printed, over several epochs.
+        mask_rule: What makes a pixel tampered: that tampered Gaussians have the larger share in
+            it, that the rendered attribute is high, or the released code's rule per view.
+        views: Look from this many cameras only, evenly spread over those that can be used. Of an
+            orbit, this many are made, by default 24.
+        scale: Size of the views relative to the cameras' images; 0.5 is four times as fast.
+        near: Near plane in world units: what is closer to a camera is not seen.
+        seed: What chance follows: the order of the views, and where an orbit begins.
+    """
+
+    masks: Annotated[Path | None, _arg(metavar="DIR", help_behavior_hint="")] = None
+    detector: Annotated[Path | None, _arg(metavar="MODEL.onnx", help_behavior_hint="")] = None
+    preset: Annotated[
+        str | None, _arg(metavar="NAME", help_behavior_hint="(default: RGB in [0, 1])")
+    ] = None
+    spec: Annotated[Path | None, _arg(metavar="FILE.toml", help_behavior_hint="")] = None
+    method: Method = "official"
+    mask_rule: MaskRule = "share"
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Render(Look):
+    """Render a scene from its cameras: one PNG per camera, named after it.
+
+    To look at a scene, or to show it to a detector of your own, whose masks `locate` then reads.
+
+    for example:
+      gsc-jax render scene.ply --cameras cameras.json --out views
+      gsc-jax render scene.ply --out views --background 1 1 1
+
+    Attributes:
+        scene: The scene: a 3DGS .ply of any exporter; with the extra `formats` also compressed.ply,
+            spz and sog.
+        out: Folder for the images, made where missing.
+        cameras: cameras.json, transforms.json, a COLMAP model (extra `colmap`), or a folder that
+            holds one of them. Without, cameras are placed around the scene and written to
+            DIR/cameras.json.
+        background: Colour behind the scene, red, green and blue from 0 to 1.
+        views: Render this many cameras only, evenly spread. Of an orbit, this many are made, by
+            default 24.
+        scale: Size of the images relative to the cameras' own.
+        near: Near plane in world units: what is closer to a camera is not seen.
+        seed: Where an orbit begins.
+    """
+
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Demo:
+    """Make a scene, tamper with it, find what was tampered, and compare with the truth.
+
+    Nothing is downloaded: a furnished room with a vase pasted onto its table, and the masks of a
+    simulated detector that errs as the real ones do. About a minute.
+
+    for example:
+      gsc-jax demo --out demo
+
+    Attributes:
+        out: Folder for the scene, the masks and the results, made where missing.
+        seed: What chance follows: the room, the cameras, the mistakes of the detector.
+    """
+
+    out: Annotated[Path, _arg(metavar="DIR")]
+    seed: Annotated[int, _arg(metavar="K")] = 0

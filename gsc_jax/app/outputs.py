@@ -1,0 +1,258 @@
+"""What `locate` leaves in its folder, written aside and put in place when all of it is there.
+
+A run that fails, or is interrupted, leaves the folder as it was. One that succeeds replaces what
+the run before wrote: also masks of cameras that are no longer used, so that what lies in the folder
+belongs together. Nothing else in the folder is touched, and never what this run was given.
+"""
+
+import contextlib
+import dataclasses
+import importlib.metadata
+import json
+import math
+import platform
+import shutil
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+
+from gsc_jax.app.pictures import contact_sheet, overlay
+from gsc_jax.errors import InputError
+from gsc_jax.io.files import atomic
+from gsc_jax.io.masks import image_path, write_image, write_mask, write_probability
+from gsc_jax.io.ply import PlyScene, save_highlight, save_tampered
+from gsc_jax.locate import Result
+from gsc_jax.scene import Camera
+from gsc_jax.splat import render
+from gsc_jax.stages import Progress
+
+BY_CAMERA = ("masks", "detector", "overlay")
+"""Folders with a picture per camera, of which some may be left over from another run."""
+
+PACKAGES = ("gsc_jax", "numpy", "jax", "jaxlib", "optax")
+MOST_OVERLAYS, MOST_ROWS = 8, 4
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Located:
+    """A finished run of `locate`: the scene file, the cameras looked from, and what was found."""
+
+    scene: PlyScene
+    cameras: list[Camera]
+    result: Result
+    stages: dict[str, dict[str, float]]
+    warnings: list[str]
+
+    @property
+    def visible_share(self) -> float:
+        """Mean share of a view that is tampered."""
+        return float(np.mean([mask.mean() for mask in self.result.masks.values()]))
+
+
+@contextlib.contextmanager
+def replacing(out: Path, *, keep: Sequence[Path] = ()) -> Iterator[Path]:
+    """A folder to write into, whose files go to `out` when the block ends well.
+
+    Args:
+        out: The folder of results, made where missing.
+        keep: Files and folders that the run reads; none of them is removed as a leftover.
+
+    Yields:
+        An empty folder inside `out`.
+
+    Raises:
+        InputError: if `out` cannot be written to.
+    """
+    made = not out.exists()
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        folder = Path(tempfile.mkdtemp(prefix=".unfinished-", dir=out))
+    except OSError as error:
+        raise InputError(f"{out}: {_cannot(error)}") from error
+    try:
+        yield folder
+        _publish(folder, out, keep)
+    except InputError as error:
+        raise InputError(str(error).replace(str(folder), str(out))) from error
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        if made:
+            with contextlib.suppress(OSError):  # it holds results
+                out.rmdir()
+
+
+def write_results(
+    folder: Path, scene: PlyScene, cameras: Sequence[Camera], result: Result, *, progress: Progress
+) -> None:
+    """Writes all of the results but result.json.
+
+    Args:
+        folder: Where to.
+        scene: The scene as it was read.
+        cameras: The cameras that have a mask in the result.
+        result: What was found.
+        progress: Called with (stage, done, total).
+    """
+    pictured = evenly(cameras, MOST_OVERLAYS)
+    steps = len(result.masks) + len(pictured)
+    progress("write", 0, steps)
+    save_tampered(folder / "tamper.ply", scene, result.tamper)
+    save_highlight(folder / "highlight.ply", scene.gaussians, result.labels)
+    _save_array(folder / "labels.npy", scene.expand(result.labels))
+    _save_array(folder / "tamper.npy", scene.expand(result.tamper))
+    for done, (name, mask) in enumerate(result.masks.items(), start=1):
+        write_mask(image_path(folder / "masks", name), mask)
+        if name in result.detections:
+            write_probability(image_path(folder / "detector", name), result.detections[name])
+        progress("write", done, steps)
+    renders = {}
+    for done, camera in enumerate(pictured, start=len(result.masks) + 1):
+        image = np.asarray(render(scene.gaussians, camera, near=result.config.near)[0])
+        renders[camera.name] = image
+        marked = overlay(image, result.masks[camera.name])
+        write_image(image_path(folder / "overlay", camera.name), marked)
+        progress("write", done, steps)
+    _write_overview(folder / "overview.png", renders, result)
+
+
+def write_report(folder: Path, command: dict[str, Any], located: Located) -> None:
+    """Writes result.json: how the run was configured and what it found, in numbers.
+
+    Args:
+        folder: Where to; what lies in it is listed.
+        command: The arguments of the command line.
+        located: The run.
+    """
+    result, scene = located.result, located.scene
+    seen = int(result.seen.sum())
+    report = {
+        "command": command,
+        "method": result.method,
+        "config": dataclasses.asdict(result.config),
+        "seed": result.config.seed,
+        "counts": {
+            "rows": scene.total,
+            "dropped": scene.dropped,
+            "gaussians": len(scene.rows),
+            "seen": seen,
+            "unseen": len(scene.rows) - seen,
+            "tampered": int(result.labels.sum()),
+        },
+        "views": len(result.masks),
+        "judged_views": len(result.detections),
+        "tampered_share_of_views": located.visible_share,
+        "per_view": [_view(camera, result) for camera in located.cameras],
+        "stages": located.stages,
+        "warnings": located.warnings,
+        "versions": _versions(),
+        "outputs": sorted([*_files(folder), "result.json"]),
+    }
+    with atomic(folder / "result.json") as temporary:
+        text = json.dumps(_plain(report), indent=2, allow_nan=False, ensure_ascii=False)
+        temporary.write_text(text + "\n", encoding="utf-8")
+
+
+def evenly(cameras: Sequence[Camera], count: int) -> list[Camera]:
+    """At most `count` cameras, evenly spread over their order.
+
+    The last is not next to the first, as these are neighbours when somebody walked around.
+    """
+    count = min(count, len(cameras))
+    return [cameras[i * len(cameras) // count] for i in range(count)]
+
+
+def _write_overview(path: Path, renders: dict[str, np.ndarray], result: Result) -> None:
+    """The first views that the detector judged, if it judged any of those rendered."""
+    judged = [name for name in renders if name in result.detections] or list(renders)
+    step = -(-len(judged) // MOST_ROWS)
+    names = judged[::step]
+    rows = []
+    for name in names:
+        image = renders[name]
+        said = result.detections.get(name, np.zeros(image.shape[:2]))
+        rows.append([image, said, overlay(image, result.masks[name])])
+    contact_sheet(path, rows, titles=("render", "2D detector", "found"), labels=names)
+
+
+def _view(camera: Camera, result: Result) -> dict[str, Any]:
+    said = result.detections.get(camera.name)
+    return {
+        "name": camera.name,
+        "width": camera.width,
+        "height": camera.height,
+        "tampered_share": float(result.masks[camera.name].mean()),
+        "detector_share": None if said is None else float((said > 0.5).mean()),
+    }
+
+
+def _versions() -> dict[str, str]:
+    import jax
+
+    versions = {name: importlib.metadata.version(name) for name in PACKAGES}
+    device = jax.devices()[0]
+    return {
+        "python": platform.python_version(),
+        **versions,
+        "platform": platform.platform(),
+        "device": f"{device.platform}: {device.device_kind}",
+    }
+
+
+def _plain(value: Any) -> Any:
+    """The same for JSON, which knows neither paths nor numbers that are not finite."""
+    if isinstance(value, dict):
+        return {str(key): _plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(entry) for entry in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return str(value) if isinstance(value, Path) else value
+
+
+def _save_array(path: Path, values: np.ndarray) -> None:
+    with atomic(path) as temporary:
+        np.save(temporary, values)
+
+
+def _files(folder: Path) -> list[str]:
+    """Files below a folder by relative path with slashes."""
+    paths = (path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
+    return sorted(path.as_posix() for path in paths)
+
+
+def _publish(folder: Path, out: Path, keep: Sequence[Path]) -> None:
+    """Moves the new files to their places, the report last, and removes leftovers."""
+    written = _files(folder)
+    given = [path.resolve() for path in keep]
+    leftovers = set(_earlier(out)).difference(written)
+    try:
+        for name in sorted(written, key=lambda name: name == "result.json"):
+            (out / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).replace(out / name)
+        for name in leftovers:
+            path = (out / name).resolve()
+            if not any(path.is_relative_to(place) for place in given):
+                path.unlink(missing_ok=True)
+    except OSError as error:
+        raise InputError(f"{out}: {_cannot(error)}") from error
+
+
+def _earlier(out: Path) -> list[str]:
+    """What an earlier run wrote into the folder and a later one may not write again."""
+    try:
+        outputs = json.loads((out / "result.json").read_text(encoding="utf-8"))["outputs"]
+        paths = [PurePosixPath(name) for name in outputs]
+    except (OSError, ValueError, LookupError, TypeError):
+        return []  # there is none, or the file is somebody else's
+    own = [path for path in paths if path.parts[0] in BY_CAMERA and path.suffix == ".png"]
+    own += [path for path in paths if path == PurePosixPath("cameras.json")]
+    return [str(path) for path in own if ".." not in path.parts]
+
+
+def _cannot(error: OSError) -> str:
+    return f"cannot be written to ({error.strerror or error}); choose another place"

@@ -1,0 +1,221 @@
+"""The commands `locate` and `render`: from files to files.
+
+What can be wrong with the input is looked at first, what takes long comes after it. Both return
+what a person should be told; only `gsc_jax.app.cli` prints.
+"""
+
+import contextlib
+import dataclasses
+import math
+import tomllib
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from gsc_jax.app.options import Locate, Look, Render
+from gsc_jax.app.outputs import Located, evenly, replacing, write_report, write_results
+from gsc_jax.detection import Detector
+from gsc_jax.detectors.folder import FolderDetector
+from gsc_jax.detectors.onnx import OnnxDetector
+from gsc_jax.detectors.onnx_spec import PLAIN, PRESETS, OnnxSpec, preset
+from gsc_jax.errors import InputError
+from gsc_jax.io.cameras import load_cameras, save_cameras
+from gsc_jax.io.files import existing_file
+from gsc_jax.io.masks import image_path, write_image
+from gsc_jax.io.ply import PlyScene, read_ply
+from gsc_jax.locate import locate
+from gsc_jax.method import METHODS
+from gsc_jax.scene import Camera, Gaussians
+from gsc_jax.splat import render
+from gsc_jax.stages import Progress, Stages, silent
+from gsc_jax.views import check_views, orbit_cameras
+
+ORBIT_VIEWS = 24
+
+
+def run_locate(options: Locate, *, progress: Progress = silent) -> Located:
+    """Finds the tampered Gaussians of a scene file and writes the results.
+
+    Args:
+        options: The arguments of the command line.
+        progress: Called with (stage, done, total).
+
+    Returns:
+        What was found, and the warnings and times of the whole run.
+
+    Raises:
+        InputError: if an input is wrong or the results cannot be written.
+    """
+    stages, warnings = Stages(), []
+    _check_look(options)
+    detector = _detector(options)
+    with stages("load"):
+        scene, cameras = _load(options, warnings, progress)
+    cameras = _chosen(options, detector.select(cameras), warnings) if options.views else cameras
+    with _about(options.cameras or options.scene):
+        check_views(scene.gaussians, cameras, near=options.near)  # locate repeats its warnings
+    config = dataclasses.replace(
+        METHODS[options.method], near=options.near, mask_rule=options.mask_rule, seed=options.seed
+    )
+    inputs = (options.scene, options.cameras, options.masks, options.detector, options.spec)
+    with replacing(options.out, keep=[path for path in inputs if path]) as folder:
+        result = locate(
+            scene.gaussians,
+            cameras,
+            detector,
+            method=options.method,
+            config=config,
+            progress=progress,
+        )
+        warnings += result.warnings
+        with stages("write"):
+            if options.cameras is None:
+                save_cameras(folder / "cameras.json", cameras)
+            write_results(folder, scene, cameras, result, progress=progress)
+        own = stages.summary()
+        located = Located(
+            scene=scene,
+            cameras=cameras,
+            result=result,
+            stages={"load": own["load"], **result.stages, "write": own["write"]},
+            warnings=warnings,
+        )
+        write_report(folder, dataclasses.asdict(options), located)
+    return located
+
+
+def run_render(options: Render, *, progress: Progress = silent) -> tuple[int, list[str]]:
+    """Renders a scene file from its cameras, into an image per camera.
+
+    Args:
+        options: The arguments of the command line.
+        progress: Called with (stage, done, total).
+
+    Returns:
+        The number of images, and warnings.
+
+    Raises:
+        InputError: if an input is wrong or an image cannot be written.
+    """
+    warnings: list[str] = []
+    _check_look(options)
+    if not all(0 <= channel <= 1 for channel in options.background):
+        raise InputError(f"--background {options.background}: expected three numbers from 0 to 1")
+    scene, cameras = _load(options, warnings, progress)
+    cameras = _chosen(options, cameras, warnings) if options.views else cameras
+    with _about(options.cameras or options.scene):
+        warnings += check_views(scene.gaussians, cameras, near=options.near)
+    if options.cameras is None:
+        save_cameras(options.out / "cameras.json", cameras)
+    for done, camera in enumerate(cameras, start=1):
+        image, _ = render(scene.gaussians, camera, background=options.background, near=options.near)
+        write_image(image_path(options.out, camera.name), np.asarray(image))
+        progress("render", done, len(cameras))
+    return len(cameras), warnings
+
+
+def _load(options: Look, warnings: list[str], progress: Progress) -> tuple[PlyScene, list[Camera]]:
+    """The scene and the cameras, known to belong together."""
+    progress("load", 0, 2)
+    scene = read_ply(options.scene)
+    if scene.dropped:
+        warnings.append(f"{options.scene}: {scene.dropped_summary}")
+    progress("load", 1, 2)
+    cameras = _cameras(options, scene.gaussians, warnings)
+    with _about(options.cameras or options.scene):
+        _check_names(cameras)
+    progress("load", 2, 2)
+    return scene, cameras
+
+
+def _cameras(options: Look, gaussians: Gaussians, warnings: list[str]) -> list[Camera]:
+    if options.cameras is not None:
+        cameras = load_cameras(options.cameras)
+    else:
+        count = options.views or ORBIT_VIEWS
+        cameras = orbit_cameras(gaussians, count, seed=options.seed)
+        warnings.append(
+            f"no --cameras given: {count} cameras were placed around the scene, -y up, and written "
+            "to cameras.json; those that the scene was trained with see it best"
+        )
+    return [camera.scaled(options.scale) for camera in cameras]
+
+
+def _chosen(options: Look, cameras: Sequence[Camera], warnings: list[str]) -> list[Camera]:
+    """As many of the cameras as were asked for."""
+    count = options.views or len(cameras)
+    if count > len(cameras):
+        warnings.append(
+            f"--views {count}: only {len(cameras)} cameras can be used, all of them are"
+        )
+    return evenly(cameras, count)
+
+
+def _detector(options: Locate) -> Detector:
+    """The folder of masks, or the network."""
+    if (options.masks is None) == (options.detector is None):
+        raise InputError(
+            "give the masks of a 2D detector (--masks DIR) or the detector itself (--detector "
+            "MODEL.onnx), one of the two; to try without either: gsc-jax demo --out demo"
+        )
+    if options.masks is not None:
+        if options.preset or options.spec:
+            raise InputError("--preset and --spec say how to run a --detector; there is none")
+        return FolderDetector(options.masks)
+    model = Path(options.detector or "")
+    if str(model) in PRESETS and not model.exists():
+        raise InputError(
+            f"--detector {model}: is the name of a preset, expected an ONNX model; export the "
+            f"network and give --detector MODEL.onnx --preset {model}"
+        )
+    return OnnxDetector(model, _spec(options))
+
+
+def _spec(options: Locate) -> OnnxSpec:
+    if options.preset and options.spec:
+        raise InputError(f"--preset {options.preset} and --spec {options.spec}: give one of them")
+    if options.preset:
+        return preset(options.preset)
+    if not options.spec:
+        return PLAIN
+    path = existing_file(options.spec, expected="a detector spec (.toml)")
+    with _about(path):
+        try:
+            return OnnxSpec.from_table(tomllib.loads(path.read_text(encoding="utf-8")))
+        except ValueError as error:
+            if isinstance(error, InputError):
+                raise
+            raise InputError(f"no TOML ({error}), expected the fields of OnnxSpec") from error
+
+
+def _check_look(options: Look) -> None:
+    if options.views is not None and options.views < 1:
+        raise InputError(f"--views {options.views}: expected at least one view")
+    for flag, value in (("scale", options.scale), ("near", options.near)):
+        if not (math.isfinite(value) and value > 0):
+            raise InputError(f"--{flag} {value:g}: expected a positive number")
+    if options.seed < 0:
+        raise InputError(f"--seed {options.seed}: expected 0 or more")
+
+
+def _check_names(cameras: Sequence[Camera]) -> None:
+    """Refuses cameras whose pictures could not be told apart or would leave the folder."""
+    names: dict[Path, str] = {}
+    for camera in cameras:
+        path = image_path("masks", camera.name)
+        if path in names:
+            raise InputError(
+                f"cameras {names[path]!r} and {camera.name!r} have one name but for the slashes, "
+                "and masks and outputs go by it; rename one"
+            )
+        names[path] = camera.name
+
+
+@contextlib.contextmanager
+def _about(path: Path) -> Iterator[None]:
+    """Puts the file in question before the message of an InputError."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error

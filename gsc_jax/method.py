@@ -1,0 +1,159 @@
+"""The methods: from what was observed to a score and a label per Gaussian.
+
+A method is a configuration: which vote gives the initial attribute (eq. 5 and 6), which attributes
+the 3D loss compares (eq. 7 and 8), the schedule of the optimisation (eq. 10 to 12), the threshold.
+"""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Literal
+
+import numpy as np
+
+from gsc_jax.decide import MaskRule, normalise
+from gsc_jax.evidence import Evidence
+from gsc_jax.loop import LoopConfig, fit, fit_rendered, view_order
+from gsc_jax.losses import official_attributes, paper_attributes, standardised_attributes
+from gsc_jax.observe import Observation
+from gsc_jax.projection import NEAR
+from gsc_jax.scene import Camera, Gaussians
+from gsc_jax.splat import View, make_view
+from gsc_jax.vote import official_consensus, paper_consensus
+
+Method = Literal["paper", "official"]
+
+CONSENSUS = {"paper": paper_consensus, "official": official_consensus}
+ATTRIBUTES = {
+    "paper": paper_attributes,
+    "official": official_attributes,
+    "standardised": standardised_attributes,
+}
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class MethodConfig:
+    """All that a method leaves to choose.
+
+    Attributes:
+        consensus: How votes become the initial attribute.
+        attributes: What the 3D loss compares.
+        epochs: How often the optimisation looks at each view.
+        shuffle: Draw a new order of the views for each epoch.
+        loop: Weights and schedule of the optimisation.
+        threshold: Normalised attribute above which a Gaussian is tampered.
+        mask_rule: How labels become masks.
+        path: `evidence`, or `rendered`: the definition, slower, for comparison.
+        near: Near plane in world units.
+        seed: Of the order of the views.
+    """
+
+    consensus: Literal["paper", "official"] = "paper"
+    attributes: Literal["paper", "official", "standardised"] = "paper"
+    epochs: int = 5
+    shuffle: bool = True
+    loop: LoopConfig = dataclasses.field(default_factory=LoopConfig)
+    threshold: float = 0.1
+    mask_rule: MaskRule = "share"
+    path: Literal["evidence", "rendered"] = "evidence"
+    near: float = NEAR
+    seed: int = 0
+
+
+METHODS: Mapping[str, MethodConfig] = {
+    "paper": MethodConfig(),
+    "official": MethodConfig(
+        consensus="official",
+        attributes="official",
+        epochs=1,
+        shuffle=False,
+        loop=LoopConfig(per_feature=True),
+    ),
+}
+"""The paper's equations over several epochs, and the schedule and definitions of its code."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Finding:
+    """What a method makes of an observation.
+
+    Attributes:
+        attribute: Raw attribute r, shape (N,) float32; unbounded.
+        tamper: Score in [0, 1], shape (N,) float32; 0 where nothing was seen.
+        labels: Tampered Gaussians, shape (N,) bool.
+        group_sizes: Sizes of G_h, G_m and G_l in every iteration, shape (iterations, 3).
+        warnings: What a user should know, in sentences.
+    """
+
+    attribute: np.ndarray
+    tamper: np.ndarray
+    labels: np.ndarray
+    group_sizes: np.ndarray
+    warnings: list[str]
+
+
+def find(
+    gaussians: Gaussians, cameras: Sequence[Camera], observation: Observation, config: MethodConfig
+) -> Finding:
+    """Vote, optimise, normalise and threshold: from what was observed to the tampered Gaussians.
+
+    Args:
+        gaussians: N Gaussians.
+        cameras: The cameras of the observation, in its order.
+        observation: What they saw, from `observe`.
+        config: Of the method.
+
+    Returns:
+        The finding. Where the attribute can say nothing, because no mask or every mask is full, it
+        is defined and says so.
+    """
+    attribute, group_sizes = _optimise(gaussians, cameras, observation, config)
+    tamper, labels, warnings = _decide(attribute, observation.evidence, config.threshold)
+    if group_sizes.size and not group_sizes.all(axis=1).any():
+        empty = [f"G_{g}" for g, n in zip("hml", group_sizes.max(axis=0), strict=True) if not n]
+        which = " and ".join(empty) or "in every iteration some group"
+        warnings.append(f"The 3D contrastive loss compared nothing: {which} was empty.")
+    return Finding(
+        attribute=attribute,
+        tamper=tamper,
+        labels=labels,
+        group_sizes=group_sizes,
+        warnings=warnings,
+    )
+
+
+def _optimise(
+    gaussians: Gaussians, cameras: Sequence[Camera], observation: Observation, config: MethodConfig
+) -> tuple[np.ndarray, np.ndarray]:
+    """Raw attribute (N,) and the group sizes of all the iterations."""
+    initial = CONSENSUS[config.consensus](observation.votes)
+    attributes = ATTRIBUTES[config.attributes](gaussians)
+    order = view_order(len(cameras), epochs=config.epochs, shuffle=config.shuffle, seed=config.seed)
+    if config.path == "evidence":
+        r, infos = fit(observation.evidence, initial, attributes, order, config=config.loop)
+    else:
+
+        def look(index: int) -> tuple[View, np.ndarray]:
+            camera = cameras[index]
+            mask = observation.detections[camera.name] > 0.5
+            return make_view(gaussians, camera, near=config.near), mask
+
+        r, infos = fit_rendered(look, initial, attributes, order, config=config.loop)
+    return np.asarray(r), np.asarray(infos.group_sizes)
+
+
+def _decide(
+    attribute: np.ndarray, evidence: Evidence, threshold: float
+) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Scores, labels and warnings."""
+    seen = evidence.seen
+    if not np.any(evidence.tampered):
+        said = "No view says that anything is tampered."
+        return np.zeros(len(seen), np.float32), np.zeros(len(seen), bool), [said]
+    if np.array_equal(evidence.tampered, evidence.total):
+        said = "Every view says that everything is tampered."
+        return seen.astype(np.float32), seen, [said]
+    tamper = np.where(seen, np.asarray(normalise(attribute)), 0.0).astype(np.float32)
+    labels = tamper > threshold
+    if labels.any():
+        return tamper, labels, []
+    return tamper, labels, ["Pixels were flagged, but the views agree on no tampered Gaussian."]

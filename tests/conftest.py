@@ -1,0 +1,54 @@
+"""Strict JAX for every test, without implicit promotion, and a counter of compilations."""
+
+import contextlib
+from collections.abc import Callable, Iterator
+
+import hypothesis
+import jax
+import pytest
+
+COMPILED: list[str] = []
+
+
+def _count(event: str, _duration: float, **_about) -> None:
+    if "backend_compile" in event:
+        COMPILED.append(event)
+
+
+def pytest_configure(config):
+    # Not context managers: those are thread-local, and the library works in threads.
+    jax.config.update("jax_numpy_dtype_promotion", "strict")
+    jax.config.update("jax_numpy_rank_promotion", "raise")
+    jax.monitoring.register_event_duration_secs_listener(_count)
+    hypothesis.settings.register_profile(
+        "gsc_jax", deadline=None, max_examples=20, derandomize=True, print_blob=True
+    )
+    hypothesis.settings.load_profile("gsc_jax")
+
+
+@pytest.fixture
+def nan_is_an_error() -> Iterator[None]:
+    """Any NaN that a JAX function returns raises."""
+    with jax.debug_nans(True):
+        yield
+
+
+@pytest.fixture
+def optax_promotes() -> Iterator[None]:
+    """Adam's bias correction raises a float to an integer power, which strict promotion forbids."""
+    with jax.numpy_dtype_promotion("standard"):
+        yield
+
+
+@pytest.fixture
+def count_compilations() -> Callable[[], contextlib.AbstractContextManager[list[str]]]:
+    """List, by `with count_compilations() as compiled:`, what XLA compiles inside the block."""
+
+    @contextlib.contextmanager
+    def counting():
+        compiled: list[str] = []
+        before = len(COMPILED)
+        yield compiled
+        compiled += COMPILED[before:]
+
+    return counting

@@ -1,0 +1,56 @@
+"""The evidence: what two Gaussians must receive, bounds, and the gradient it stands for."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from hypothesis import given
+from hypothesis.extra import numpy as hnp
+from strategies import blobs, camera, random_scene
+
+from gsc_jax.evidence import Evidence, stack_evidence, view_evidence
+from gsc_jax.losses import loss_2d, loss_2d_from_evidence
+from gsc_jax.splat import composite, make_view, render_features
+
+CAMERA = camera(17, 15)
+SCENE = random_scene(40)
+VIEW = make_view(SCENE, CAMERA)
+
+
+def test_a_hidden_gaussian_has_no_evidence_and_is_not_seen():
+    wall = [[0, 0, 1]] * 3
+    scene = blobs([*wall, [0, 0, 5]], opacity=0.999, scale=5.0)
+    evidence = view_evidence(make_view(scene, CAMERA), np.ones((15, 17), bool))
+    assert evidence.seen.tolist()[0] is True
+    assert not evidence.seen[3], "the hidden Gaussian is seen through three opaque walls"
+
+
+@given(hnp.arrays(bool, (15, 17)))
+def test_what_is_tampered_is_part_of_what_is_seen(mask):
+    evidence = view_evidence(VIEW, mask)
+    assert np.all(np.asarray(evidence.tampered) >= 0)
+    assert np.all(evidence.tampered <= evidence.total)
+    complement = view_evidence(VIEW, ~mask)
+    np.testing.assert_allclose(evidence.tampered + complement.tampered, evidence.total, atol=1e-4)
+
+
+def test_the_weights_of_a_view_add_up_to_its_alpha():
+    evidence = view_evidence(VIEW, np.zeros((15, 17)))
+    alpha = render_features(SCENE, CAMERA, np.zeros((40, 1), np.float32))[1]
+    np.testing.assert_allclose(jnp.sum(evidence.total), jnp.sum(alpha), rtol=1e-5)
+
+
+@given(hnp.arrays(bool, (15, 17)))
+def test_it_is_the_gradient_of_the_rendered_loss(mask):
+    def rendered_loss(r):
+        return loss_2d(composite(VIEW, r[:, None])[..., 0], mask)
+
+    r = jnp.linspace(-1, 1, 40)
+    gradient = jax.grad(loss_2d_from_evidence)(r, view_evidence(VIEW, mask))
+    np.testing.assert_allclose(jax.grad(rendered_loss)(r), gradient, rtol=1e-4, atol=1e-4)
+
+
+def test_views_stack():
+    one = Evidence(total=np.ones(3, np.float32), tampered=np.zeros(3, np.float32))
+    stacked = stack_evidence([one, one])
+    assert stacked.total.shape == (2, 3)
+    assert stacked.seen.all()

@@ -1,0 +1,168 @@
+"""The whole method: it finds what is there, and the degenerate cases are defined and said."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from data import TAMPERED, load_tampered, needs_data
+from strategies import blobs, camera
+
+from gsc_jax import METHODS, InputError, locate, rendered_share
+from gsc_jax.detection import as_detector, fit_to_view
+from gsc_jax.detectors.folder import FolderDetector
+from gsc_jax.scene import Camera
+
+pytestmark = pytest.mark.usefixtures("optax_promotes")
+
+METHOD = pytest.mark.parametrize("method", ["paper", "official"])
+ROW = [[x, y, 3] for x in np.linspace(-1.5, 1.5, 7) for y in np.linspace(-0.8, 0.8, 5)]
+SCENE = blobs([*ROW, [0, 0, 30.0], [0, 0, -5.0]], opacity=0.95, scale=0.2)
+TRUTH = np.array([x > 0.8 for x, _, _ in ROW] + [False, False])
+BEHIND = -1
+
+
+def cameras(count: int = 6) -> list[Camera]:
+    """Cameras beside each other, looking along z."""
+    found = []
+    for index in range(count):
+        viewmat = np.eye(4)
+        viewmat[0, 3] = 0.1 * (index - count / 2)
+        found.append(dataclasses.replace(camera(48, 32, viewmat=viewmat), name=f"view_{index}"))
+    return found
+
+
+def truths() -> dict[str, np.ndarray]:
+    return {c.name: rendered_share(SCENE, c, TRUTH) for c in cameras()}
+
+
+def everywhere(value: float) -> dict[str, np.ndarray]:
+    return {c.name: np.full((32, 48), value, np.float32) for c in cameras()}
+
+
+@METHOD
+def test_true_masks_find_the_tampered_gaussians(method):
+    result = locate(SCENE, cameras(), truths(), method=method)
+    visible = result.seen
+    assert np.mean(result.labels[visible] == TRUTH[visible]) > 0.9
+    for name, truth in truths().items():
+        overlap = np.mean(result.masks[name] == (truth > 0.5))
+        assert overlap > 0.9, f"the mask of {name} does not show the tampered region"
+    assert result.tamper.dtype == np.float32
+    assert result.tamper.min() >= 0
+    assert result.tamper.max() == pytest.approx(1)
+    assert not result.labels[BEHIND], "a Gaussian that no view sees was found tampered"
+
+
+@METHOD
+def test_no_view_says_tampered(method):
+    result = locate(SCENE, cameras(), everywhere(0.0), method=method)
+    assert not result.labels.any()
+    assert not result.tamper.any()
+    assert not any(mask.any() for mask in result.masks.values())
+    assert "No view says that anything is tampered." in result.warnings
+
+
+@METHOD
+def test_every_view_says_tampered(method):
+    result = locate(SCENE, cameras(), everywhere(1.0), method=method)
+    assert np.array_equal(result.labels, result.seen)
+    assert result.seen.any()
+    assert not result.seen.all()
+    assert np.isfinite(result.attribute).all()
+    assert "Every view says that everything is tampered." in result.warnings
+
+
+@METHOD
+def test_one_flagged_view_of_many_is_outvoted_and_nothing_flips_sign(method):
+    masks = everywhere(0.0)
+    masks["view_0"] = truths()["view_0"]
+    result = locate(SCENE, cameras(), masks, method=method)
+    assert np.max(result.attribute) <= 0 or not result.labels[~TRUTH].any()
+    assert not any(mask.all() for mask in result.masks.values())
+
+
+def test_it_is_deterministic_and_the_seed_matters_only_for_the_order():
+    rng = np.random.default_rng(0)
+    noisy = {c.name: rng.random((32, 48)) for c in cameras()}
+    first, second = (locate(SCENE, cameras(), noisy, method="paper") for _ in range(2))
+    assert np.array_equal(first.attribute, second.attribute)
+    other = locate(SCENE, cameras(), noisy, config=dataclasses.replace(METHODS["paper"], seed=1))
+    assert not np.array_equal(first.attribute, other.attribute)
+
+
+def test_a_function_sees_every_render_once():
+    seen = []
+
+    def detector(image):
+        seen.append(image)
+        return image[..., 0] > 0.4
+
+    result = locate(SCENE, cameras(2), detector)
+    assert len(seen) == 2
+    assert seen[0].shape == (32, 48, 3)
+    assert seen[0].dtype == np.float32
+    assert 0 <= seen[0].min() < seen[0].max() <= 1, "the detector was shown an empty image"
+    assert set(result.detections) == {"view_0", "view_1"}
+
+
+def test_cameras_without_a_mask_are_counted_and_still_get_one():
+    some = {name: mask for name, mask in truths().items() if name != "view_3"}
+    result = locate(SCENE, cameras(), some)
+    assert set(result.masks) == {c.name for c in cameras()}
+    assert "view_3" not in result.detections
+    assert any("1 of 6 cameras" in w and "view_3" in w for w in result.warnings)
+
+
+def test_progress_and_stages_are_told():
+    told = []
+    result = locate(SCENE, cameras(2), truths(), progress=lambda *step: told.append(step))
+    assert ("look", 2, 2) in told
+    assert ("masks", 2, 2) in told
+    assert {"project", "bin", "detect", "lift", "vote", "optimise", "masks"} <= set(result.stages)
+    assert all(stage["seconds"] >= 0 for stage in result.stages.values())
+
+
+@pytest.mark.parametrize(
+    ("masks", "message"),
+    [
+        ({"elsewhere": np.zeros((4, 4))}, "No camera has a mask"),
+        ({"view_0": np.full((4, 4), 255)}, "not a probability"),
+        ({"view_0": np.full((4, 4), np.nan)}, "not a probability"),
+        ({"view_0": np.zeros((4, 4, 3))}, "one probability per pixel"),
+    ],
+)
+def test_unusable_masks_are_one_clear_error(masks, message):
+    with pytest.raises(InputError, match=message) as raised:
+        locate(SCENE, cameras(), masks)
+    assert "\n" not in str(raised.value)
+
+
+def test_an_unknown_method_and_a_name_used_twice_are_errors():
+    with pytest.raises(ValueError, match="paper, official"):
+        locate(SCENE, cameras(), truths(), method="magic")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="'view_0'"):
+        locate(SCENE, cameras(1) * 2, truths())
+
+
+def test_a_mask_is_resized_as_a_probability_and_thresholded_once_strictly():
+    view = camera(4, 2)
+    resized = fit_to_view(np.array([[0, 1]]), view)
+    assert resized.shape == (2, 4)
+    assert 0 < resized[0, 1] < 0.5 < resized[0, 2] < 1, "thresholded before it was resized"
+    half = fit_to_view(np.full((1, 2, 4), 0.5), view)
+    assert not (half > 0.5).any()
+    assert as_detector({"": half}).needs_image is False
+
+
+@needs_data
+@METHOD
+@pytest.mark.parametrize("name", TAMPERED)
+def test_the_truth_masks_of_the_real_scenes_lead_to_their_gaussians(name, method):
+    data = load_tampered(name)
+    views = [c.scaled(0.5) for c in data.cameras[::2]]
+    result = locate(data.gaussians, views, FolderDetector(data.folder / "truth"), method=method)
+    found = result.labels[result.seen]
+    truth = data.labels[result.seen]
+    precision = (found & truth).sum() / max(found.sum(), 1)
+    assert precision > 0.6
+    assert found.sum() > 0.05 * truth.sum()

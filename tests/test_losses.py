@@ -1,0 +1,125 @@
+"""The losses: each equation by hand, empty groups, gradients."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from strategies import random_scene, with_row
+
+from gsc_jax.evidence import Evidence
+from gsc_jax.losses import (
+    Partition,
+    direction,
+    loss_2d,
+    loss_2d_from_evidence,
+    loss_3d,
+    official_attributes,
+    paper_attributes,
+    partition,
+    standardised_attributes,
+)
+
+attributes_of = hnp.arrays(np.float32, 8, elements=st.floats(-50, 50, width=32))
+
+
+def groups(high, middle, low) -> Partition:
+    high, middle, low = (jnp.asarray(np.isin(np.arange(6), rows)) for rows in (high, middle, low))
+    return Partition(high=high, middle=middle, low=low)
+
+
+def test_the_2d_loss_rewards_inside_and_charges_outside():
+    rendered = jnp.array([[1.0, 2.0], [3.0, 4.0]])
+    mask = np.array([[True, False], [False, True]])
+    assert loss_2d(rendered, mask) == -(1 + 4) + 10 * (2 + 3)
+    assert loss_2d(rendered, mask, lambda1=2.0, lambda2=0.5) == -2 * (1 + 4) + 0.5 * (2 + 3)
+
+
+def test_the_2d_loss_of_the_evidence_is_linear_in_the_attribute():
+    evidence = Evidence(total=jnp.array([4.0, 2.0]), tampered=jnp.array([3.0, 0.5]))
+    r = jnp.array([1.0, -2.0])
+    expected = 1 * (10 * 1 - 3) + -2 * (10 * 1.5 - 0.5)
+    assert loss_2d_from_evidence(r, evidence) == pytest.approx(expected)
+    gradient = jax.grad(loss_2d_from_evidence)(r, evidence)
+    np.testing.assert_allclose(gradient, [7, 14.5], rtol=1e-6)
+
+
+def test_the_partition_has_the_released_thresholds():
+    r = jnp.array([10.0, 9.0, 8.9, 1.0, 0.5, 0.0, -8.0, -9.0, -10.0])
+    found = partition(r)
+    assert np.flatnonzero(found.high).tolist() == [0, 1]
+    assert np.flatnonzero(found.middle).tolist() == [3, 4]
+    assert np.flatnonzero(found.low).tolist() == [7, 8]
+
+
+@given(attributes_of)
+def test_no_gaussian_is_in_two_groups(r):
+    found = partition(jnp.asarray(r))
+    assert not jnp.any(found.high & found.middle)
+    assert not jnp.any((found.high | found.middle) & found.low)
+
+
+def test_the_direction_points_to_the_nearer_mean():
+    attributes = jnp.array([[1.0, 0], [1, 0], [0.9, 0], [0.1, 0], [0, 0], [0, 0]])
+    split = groups([0, 1], [2, 3], [4, 5])
+    assert direction(attributes, split).tolist() == [0, 0, 1, -1, 0, 0]
+    # One feature says high, the other low: the larger distance decides per Gaussian, they cancel
+    # per feature.
+    mixed = jnp.array([[1.0, 0], [1, 0], [0.9, -3], [0.1, 3], [0, 0], [0, 0.5]])
+    assert direction(mixed, split, per_feature=True).tolist() == [0, 0, 1, -1, 0, 0]
+    torn = mixed.at[2].set(jnp.array([0.9, 5.0]))
+    assert direction(torn, split, per_feature=True)[2] == 0
+    assert direction(torn, split)[2] == -1
+
+
+def test_the_3d_loss_is_minus_the_mean_of_u_r_over_the_middle():
+    attributes = jnp.array([[1.0], [1.0], [0.9], [0.1], [0.0], [0.0]])
+    split = groups([0, 1], [2, 3], [4, 5])
+    r = jnp.array([9.0, 9.0, 0.5, 0.25, -9.0, -9.0])
+    assert loss_3d(r, attributes, split) == pytest.approx(-(0.5 - 0.25) / 2)
+    gradient = jax.grad(loss_3d)(r, attributes, split)
+    np.testing.assert_allclose(gradient, [0, 0, -0.5, 0.5, 0, 0])
+
+
+@pytest.mark.usefixtures("nan_is_an_error")
+@pytest.mark.parametrize("per_feature", [False, True])
+@pytest.mark.parametrize(
+    "split", [([], [2, 3], [4, 5]), ([0, 1], [], [4, 5]), ([0, 1], [2, 3], []), ([], [], [])]
+)
+def test_an_empty_group_makes_the_3d_loss_zero_with_zero_gradient(split, per_feature):
+    attributes, r = jnp.ones((6, 3)), jnp.arange(6.0)
+    value, gradient = jax.value_and_grad(loss_3d)(
+        r, attributes, groups(*split), per_feature=per_feature
+    )
+    assert value == 0
+    assert not gradient.any()
+
+
+def test_the_attributes_are_those_of_the_paper_and_of_the_released_code():
+    scene = random_scene(5, degree=2)
+    assert paper_attributes(scene).shape == (5, 11 + 3 * 9)
+    official = official_attributes(scene)
+    assert official.shape == (5, 14)
+    np.testing.assert_allclose(jnp.linalg.norm(official[:, 10:], axis=1), 1, rtol=1e-5)
+    np.testing.assert_allclose(official[:, 7:10], np.exp(scene.log_scales), rtol=1e-5)
+
+
+@pytest.mark.usefixtures("nan_is_an_error")
+def test_standardised_attributes_do_not_depend_on_units_or_on_the_sign_of_a_quaternion():
+    scene = random_scene(50)
+    larger = dataclasses.replace(
+        scene,
+        means=scene.means * 100,
+        log_scales=scene.log_scales + np.log(np.float32(100)),
+        quats=-scene.quats,
+    )
+    np.testing.assert_allclose(
+        standardised_attributes(scene), standardised_attributes(larger), rtol=2e-3, atol=2e-3
+    )
+    infinite = with_row(scene, "logit_opacities", np.inf)
+    constant = dataclasses.replace(infinite, means=np.ones_like(scene.means))
+    assert jnp.isfinite(standardised_attributes(constant)).all()

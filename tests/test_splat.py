@@ -1,0 +1,359 @@
+"""Compositing and its adjoint against the float64 reference, their laws, and the hard cases."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import reference
+from data import SCENES, cropped, load_scene, needs_data
+from hypothesis import given
+from hypothesis import strategies as st
+from strategies import (
+    COUNT,
+    blobs,
+    camera,
+    floats,
+    motions,
+    quaternions,
+    random_scene,
+    scenes,
+    with_row,
+)
+from tolerances import ADJOINT, ROUNDING, assert_same_image, assert_same_sums
+
+import gsc_jax
+from gsc_jax.splat import accumulate, composite, make_view
+
+SIZES = [(1, 1), (15, 17), (33, 15), (17, 33)]
+VIEW = camera(17, 15)
+RED, GREEN = np.eye(3, dtype=np.float32)[:2]
+MAPS = np.random.default_rng(0).random((15, 17, 2)).astype(np.float32)
+
+
+def one_pixel(gaussians, features=None, **options):
+    """Colour and alpha of a pixel that looks straight at everything on the axis."""
+    features = np.eye(len(gaussians), dtype=np.float32) if features is None else features
+    image, alpha = gsc_jax.render_features(gaussians, camera(1, 1), features, **options)
+    return np.asarray(image[0, 0]), float(alpha[0, 0])
+
+
+def assert_agrees(gaussians, view, *, background=(0.2, 0.4, 0.6)) -> reference.Blending:
+    """Image, alpha and accumulated maps are those of the reference."""
+    image, alpha = gsc_jax.render(gaussians, view, background=background)
+    rgb, opaque, blend = reference.render(gaussians, view, background=background)
+    assert image.dtype == alpha.dtype == jnp.float32
+    brightest = max(1.0, reference.colors(gaussians, reference.camera_center(view)).max())
+    assert_same_image(image, rgb, brightest * blend.jump)
+    assert_same_image(alpha[..., None], opaque[..., None], blend.jump)
+    maps = np.random.default_rng(1).normal(size=(view.height, view.width, 2)).astype(np.float32)
+    maps *= blend.clear[..., None]
+    assert_same_sums(gsc_jax.accumulate(gaussians, view, maps), blend.accumulate(maps))
+    return blend
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_random_scenes_agree_with_the_reference(size):
+    blend = assert_agrees(random_scene(200, degree=2), camera(*size))
+    assert (blend.weights > 0.01).sum() > size[0] * size[1], "the scene is almost empty"
+
+
+@needs_data
+@pytest.mark.parametrize("name", SCENES)
+def test_real_scenes_agree_with_the_reference(name):
+    gaussians, cameras = load_scene(name)
+    for view in cameras[1::11]:
+        blend = assert_agrees(gaussians, cropped(view, 220, 160, 33, 17))
+        assert len(blend.ids) > 50, "the crop is almost empty"
+
+
+@needs_data
+def test_a_whole_image_agrees_in_windows():
+    gaussians, cameras = load_scene("kitchen")
+    image, _ = gsc_jax.render(gaussians, cameras[5])
+    for left, top in [(0, 0), (301, 155), (447, 343)]:
+        rgb, _, blend = reference.render(gaussians, cameras[5], window=(left, top, 33, 17))
+        assert rgb.max() > 0.1, "the window is black"
+        assert_same_image(image[top : top + 17, left : left + 33], rgb, blend.jump)
+
+
+def test_lists_longer_than_many_chunks_agree_with_the_reference():
+    places = np.random.default_rng(2).normal(0, 0.05, (200, 3)) + [0, 0, 2]
+    blend = assert_agrees(blobs(places, opacity=0.02), VIEW)
+    assert (blend.weights > 0).sum(axis=1).max() > 100
+
+
+def test_the_nearer_splat_hides_the_farther_whatever_their_rows():
+    near_last = blobs([[0, 0, 3], [0, 0, 2]], opacity=0.9)
+    weights, alpha = one_pixel(near_last)
+    np.testing.assert_allclose(weights, [0.1 * 0.9, 0.9], rtol=1e-4)
+    assert alpha == pytest.approx(0.99, rel=1e-4)
+
+
+def test_ties_in_depth_are_by_index():
+    weights, _ = one_pixel(blobs(np.tile([0.0, 0, 2], (20, 1)), opacity=0.2))
+    np.testing.assert_allclose(weights, 0.2 * 0.8 ** np.arange(20), rtol=1e-4)
+
+
+def test_alpha_is_capped_at_99_percent():
+    weights, _ = one_pixel(with_row(blobs([0, 0, 2]), "logit_opacities", np.inf))
+    assert weights[0] == pytest.approx(0.99)
+
+
+def test_contributions_under_one_in_255_are_dropped():
+    below, above = (one_pixel(blobs([0, 0, 2], opacity=o, scale=9))[0] for o in (0.0039, 0.0040))
+    assert below[0] == 0
+    assert above[0] == pytest.approx(0.0040, rel=1e-3)
+
+
+def test_a_pixel_stops_before_its_transmittance_falls_under_the_limit():
+    # 0.1, 0.01, 0.001 and 1.1e-4 of the light are left behind the first; the fourth is the last.
+    row = blobs([[0, 0, 1 + 0.1 * i] for i in range(6)], opacity=0.9, scale=5)
+    row = with_row(row, "logit_opacities", np.log(0.89 / 0.11), row=3)
+    weights, alpha = one_pixel(row)
+    np.testing.assert_allclose(weights[:4], [0.9, 0.09, 0.009, 0.00089], rtol=1e-3)
+    assert not weights[4:].any(), "a splat contributes although the pixel has stopped"
+    assert alpha == pytest.approx(1 - 1.1e-4, abs=2e-6)
+
+
+def test_a_stopped_pixel_takes_no_fainter_splat_either():
+    """The one that would fall under the limit ends the pixel; it is not merely skipped."""
+    row = blobs([[0, 0, 1], [0, 0, 1.2], [0, 0, 1.4], [0, 0, 1.6]], opacity=0.98, scale=5)
+    row = with_row(row, "logit_opacities", np.log(0.01 / 0.99), row=3)
+    weights, _ = one_pixel(row)
+    assert weights[1] > 0.019
+    assert weights[2:].tolist() == [0, 0]
+
+
+def test_two_of_alpha_99_percent_sit_on_the_limit_and_jump_no_further_than_that():
+    opaque = blobs([[0, 0, 2], [0, 0, 3], [0, 0, 4]])
+    opaque = dataclasses.replace(opaque, logit_opacities=np.full(3, np.inf, np.float32))
+    weights, _ = one_pixel(opaque)
+    blend = reference.blending(opaque, camera(1, 1))
+    assert weights[0] == pytest.approx(0.99)
+    assert weights[2] == 0, "the third is seen through two opaque ones"
+    assert blend.jump[0, 0] == pytest.approx(0.01 * 0.99)
+    assert abs(weights[1] - blend.composite(np.eye(3))[0, 0, 1]) <= blend.jump[0, 0] + 1e-6
+
+
+@pytest.mark.usefixtures("nan_is_an_error")
+@pytest.mark.parametrize("count", [0, 1])
+def test_none_or_one_gaussian_agrees_with_the_reference(count):
+    gaussians = blobs(np.tile([0.1, 0.1, 2], (count, 1)))
+    image, alpha = gsc_jax.render(gaussians, VIEW, background=(1, 0, 0.5))
+    rgb, opaque, blend = reference.render(gaussians, VIEW, background=(1, 0, 0.5))
+    assert_same_image(image, rgb, blend.jump)
+    assert_same_image(alpha[..., None], opaque[..., None], blend.jump)
+    assert_same_sums(gsc_jax.accumulate(gaussians, VIEW, MAPS), blend.accumulate(MAPS))
+    assert (float(alpha.max()) > 0.1) == (count == 1), "the splat is invisible"
+
+
+@pytest.mark.usefixtures("nan_is_an_error")
+def test_a_view_that_sees_nothing_shows_the_background():
+    behind = blobs([[0, 0, -2], [0, 0, 0.1], [90, 0, 2]])
+    image, alpha = gsc_jax.render(behind, VIEW, background=(0.25, 0.5, 1))
+    assert (np.asarray(image) == [0.25, 0.5, 1]).all()
+    assert not alpha.any()
+    assert not gsc_jax.accumulate(behind, VIEW, MAPS).any()
+
+
+def test_the_background_shows_through_by_what_alpha_leaves():
+    gaussians = random_scene(200)
+    black, alpha = gsc_jax.render(gaussians, VIEW)
+    white, _ = gsc_jax.render(gaussians, VIEW, background=(1, 1, 1))
+    expected = np.minimum(black + (1 - alpha)[..., None], 1)
+    assert float(alpha.min()) < 0.9 < float(alpha.max()) + 0.1
+    np.testing.assert_allclose(white, expected, atol=ROUNDING)
+
+
+def test_the_near_plane_is_an_option_of_everything():
+    close = blobs([0, 0, 0.1], opacity=0.9)
+    feature = np.ones((1, 1), np.float32)
+    assert not gsc_jax.render(close, VIEW)[1].any()
+    assert gsc_jax.render(close, VIEW, near=0.01)[1].any(), "the splat is invisible"
+    assert gsc_jax.render_features(close, VIEW, feature, near=0.01)[1].any()
+    assert gsc_jax.accumulate(close, VIEW, MAPS, near=0.01).any()
+
+
+@pytest.mark.usefixtures("nan_is_an_error")
+@pytest.mark.parametrize("where", [[0, 0, 0], [0, 0, 0.201], [0.3, 0, 0.3]])
+def test_a_camera_inside_a_gaussian_agrees_with_the_reference(where):
+    gaussians = blobs([where, [0.1, 0, 3]], opacity=0.8, scale=2)
+    blend = assert_agrees(gaussians, VIEW)
+    assert blend.weights.any()
+
+
+@pytest.mark.parametrize("length", [1.0, 10.0, 1e4])
+def test_needles_agree_with_the_reference(length):
+    needles = np.log(np.tile([length, length / 1e4, length / 1e4], (200, 1))).astype(np.float32)
+    blend = assert_agrees(dataclasses.replace(random_scene(200), log_scales=needles), VIEW)
+    assert blend.weights.any()
+
+
+BROKEN = [
+    (field, value)
+    for field in ("means", "log_scales", "quats", "logit_opacities", "sh")
+    for value in (np.nan, np.inf, -np.inf)
+    if (field, value) not in [("log_scales", -np.inf), ("logit_opacities", np.inf)]
+]
+
+
+@pytest.mark.usefixtures("nan_is_an_error")
+@pytest.mark.parametrize(("field", "value"), BROKEN)
+def test_a_row_that_cannot_be_rendered_changes_nothing(field, value):
+    gaussians = random_scene(20)
+    row = int(np.argmax(gsc_jax.accumulate(gaussians, VIEW, MAPS)[:, 0]))
+    broken = with_row(gaussians, field, value, row=row)
+    without = with_row(gaussians, "logit_opacities", -np.inf, row=row)
+    for image, expected in zip(
+        gsc_jax.render(broken, VIEW), gsc_jax.render(without, VIEW), strict=True
+    ):
+        np.testing.assert_array_equal(image, expected)
+    lifted = gsc_jax.accumulate(broken, VIEW, MAPS)
+    np.testing.assert_array_equal(lifted, gsc_jax.accumulate(without, VIEW, MAPS))
+    assert not lifted[row].any()
+
+
+@pytest.mark.usefixtures("nan_is_an_error")
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("logit_opacities", np.inf), ("log_scales", -np.inf), ("log_scales", 40.0), ("means", 3e30)],
+)
+def test_extreme_but_legal_rows_give_finite_images(field, value):
+    gaussians = with_row(random_scene(20), field, value)
+    for image in gsc_jax.render(gaussians, VIEW):
+        assert np.isfinite(image).all()
+        assert float(image.min()) >= 0
+        assert float(image.max()) <= 1
+    assert np.isfinite(gsc_jax.accumulate(gaussians, VIEW, MAPS)).all()
+
+
+@pytest.mark.parametrize("transform", [lambda f: f, jax.jit], ids=["eager", "jit"])
+def test_the_gradient_of_a_loss_on_an_image_is_accumulate(transform):
+    gaussians = random_scene(200)
+    view, blend = make_view(gaussians, VIEW), reference.blending(gaussians, VIEW)
+    features = np.random.default_rng(3).random((200, 2)).astype(np.float32)
+
+    def loss(features):
+        return jnp.sum(MAPS * blend.clear[..., None] * composite(view, features) ** 2)
+
+    gradient = transform(jax.grad(loss))(jnp.asarray(features))
+    residual = 2 * MAPS * blend.clear[..., None] * blend.composite(features)
+    assert_same_sums(gradient, blend.accumulate(residual))
+    lifted = accumulate(view, jnp.asarray(residual, jnp.float32))
+    np.testing.assert_allclose(gradient, lifted, rtol=1e-4, atol=1e-5)
+    assert float(jnp.abs(gradient).max()) > 0.1
+
+
+@given(scenes(), floats((COUNT, 2), -1, 1), floats((15, 17, 2), -1, 1))
+def test_accumulate_is_the_adjoint_of_composite(gaussians, features, maps):
+    view = make_view(gaussians, VIEW)
+    image = np.asarray(composite(view, jnp.asarray(features)), np.float64)
+    sums = np.asarray(accumulate(view, jnp.asarray(maps)), np.float64)
+    size = np.vdot(composite(view, jnp.abs(features)), np.abs(maps))
+    assert abs(np.vdot(image, maps) - np.vdot(features, sums)) <= ADJOINT * size + 1e-30
+
+
+def weights_of(gaussians, view=VIEW, **options) -> np.ndarray:
+    """The matrix W, (H, W, N)."""
+    identity = jnp.eye(len(gaussians))
+    return np.asarray(composite(make_view(gaussians, view, **options), identity))
+
+
+@given(scenes())
+def test_weights_are_shares_of_the_light(gaussians):
+    weights = weights_of(gaussians)
+    alpha = weights.sum(axis=-1)
+    assert weights.min() >= 0
+    assert weights.max() <= 0.99 * (1 + 1e-6)
+    assert alpha.max() <= 1 - 1e-4 + ROUNDING
+
+
+@given(scenes(), st.permutations(range(COUNT)))
+def test_permuting_gaussians_permutes_the_columns_and_no_image(gaussians, order):
+    permuted = gaussians.take(np.array(order))
+    # Exact: the walk is in depth order either way.
+    np.testing.assert_array_equal(weights_of(permuted), weights_of(gaussians)[..., order])
+
+
+@given(scenes(), quaternions(), st.sampled_from([-1.0, 0.25, -3.0, 1e10]))
+def test_the_length_and_sign_of_a_quaternion_change_nothing(gaussians, quats, factor):
+    gaussians = dataclasses.replace(gaussians, quats=quats)
+    scaled = dataclasses.replace(gaussians, quats=quats * np.float32(factor))
+    image, _ = gsc_jax.render(scaled, VIEW)
+    expected, _ = gsc_jax.render(gaussians, VIEW)
+    jump = reference.blending(gaussians, VIEW).jump
+    np.testing.assert_array_less(np.abs(image - expected).max(axis=-1), jump + 1e-4)
+
+
+@given(scenes(), motions())
+def test_moving_scene_and_cameras_together_changes_nothing_at_degree_0(gaussians, motion):
+    quat, shift = motion
+    rotation = reference.rotations(quat[None])[0]
+    view = np.eye(4)
+    view[:3, :3], view[:3, 3] = rotation.T, -rotation.T @ shift
+    moved = dataclasses.replace(
+        gaussians,
+        means=(gaussians.means @ rotation.T + shift).astype(np.float32),
+        quats=_product(quat, gaussians.quats).astype(np.float32),
+    )
+    image, _ = gsc_jax.render(moved, camera(17, 15, viewmat=view))
+    expected, _ = gsc_jax.render(gaussians, VIEW)
+    jump = reference.blending(gaussians, VIEW).jump
+    np.testing.assert_array_less(np.abs(image - expected).max(axis=-1), jump + 1e-4)
+
+
+def _product(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Product of a quaternion wxyz with each of several, (N, 4)."""
+    w, v = right[:, :1], right[:, 1:].astype(np.float64)
+    vector = left[0] * v + w * left[1:] + np.cross(left[1:], v)
+    return np.concatenate([left[0] * w - v @ left[1:, None], vector], axis=1)
+
+
+@pytest.mark.parametrize("lockstep", [1, 4, 7, 999])
+def test_the_lockstep_width_changes_nothing(lockstep):
+    gaussians, view = random_scene(200), camera(33, 15)
+    usual, other = make_view(gaussians, view), make_view(gaussians, view, lockstep=lockstep)
+    assert len(other.tiles) % other.lockstep == 0
+    colors = jnp.asarray(gaussians.sh[:, 0])
+    maps = jnp.asarray(np.random.default_rng(4).random((15, 33, 2)), jnp.float32)
+    np.testing.assert_allclose(composite(other, colors), composite(usual, colors), atol=ROUNDING)
+    np.testing.assert_allclose(
+        accumulate(other, maps), accumulate(usual, maps), rtol=1e-5, atol=ROUNDING
+    )
+
+
+def test_the_second_view_of_a_size_compiles_nothing(count_compilations):
+    gaussians = random_scene(90)
+    features, maps = np.ones((90, 3), np.float32), np.ones((19, 21, 3), np.float32)
+
+    def look(angle: float):
+        quat = np.array([[np.cos(angle), 0, np.sin(angle), 0]])
+        view = np.eye(4)
+        view[:3, :3] = reference.rotations(quat)[0]
+        seen = dataclasses.replace(camera(21, 19, viewmat=view), name=f"view {angle}")
+        rgb, _ = gsc_jax.render(gaussians, seen)
+        gsc_jax.render_features(gaussians, seen, features)
+        gsc_jax.accumulate(gaussians, seen, maps)
+        return rgb
+
+    with count_compilations() as first:
+        before = look(0.0)
+    with count_compilations() as second:
+        after = look(0.05)
+    assert first, "the counter counts nothing"
+    assert not second
+    assert not jnp.allclose(before, after), "the camera has not moved"
+
+
+@pytest.mark.parametrize("shape", [(7, 3), (8,), (8, 3, 1)])
+def test_features_that_do_not_fit_are_refused(shape):
+    with pytest.raises(ValueError, match=r"features must be \(8, D\), got"):
+        gsc_jax.render_features(random_scene(8), VIEW, np.ones(shape, np.float32))
+
+
+@pytest.mark.parametrize("shape", [(17, 15, 1), (15, 17), (1, 15, 17)])
+def test_maps_that_do_not_fit_are_refused(shape):
+    with pytest.raises(ValueError, match=r"maps must be \(15, 17, D\), got"):
+        gsc_jax.accumulate(random_scene(8), VIEW, np.ones(shape, np.float32))

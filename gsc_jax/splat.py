@@ -171,6 +171,9 @@ def _walk(view: View, group: tuple[Array, ...], visit: Callable, carry: Any) -> 
         listed = view.ids[starts[:, None] + place[None]]
         ids = jnp.where(place[None] < counts[:, None], listed, empty)
         weights, transmittance = _blend(transmittance, _alphas(view.splats[ids], pixels))
+        # Without the barrier XLA moves a transposition of the weights into the contraction that
+        # follows in `accumulate`, which makes it 2.4 times slower on a CPU.
+        weights = jax.lax.optimization_barrier(weights)
         return step + 1, transmittance, visit(carry, ids, weights)
 
     def unfinished(state):

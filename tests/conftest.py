@@ -42,7 +42,7 @@ def optax_promotes() -> Iterator[None]:
 
 @pytest.fixture
 def count_compilations() -> Callable[[], contextlib.AbstractContextManager[list[str]]]:
-    """List, by `with count_compilations() as compiled:`, what XLA compiles inside the block."""
+    """A context manager that yields the list of what XLA compiles inside it, filled at its end."""
 
     @contextlib.contextmanager
     def counting():

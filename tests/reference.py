@@ -1,8 +1,8 @@
 """A float64 renderer in NumPy, written from the equations: what the library is held to.
 
 It shares no code with gsc_jax and does what the INRIA rasteriser does, one Gaussian after the other
-over all pixels (Kerbl et al. 2023; Zwicker et al. 2001), and builds the matrix W of blending weights
-that the library never builds. Harmonics come from associated Legendre functions.
+over all pixels (Kerbl et al. 2023; Zwicker et al. 2001), and builds the matrix W of blending
+weights that the library never builds. Harmonics come from associated Legendre functions.
 
 Float32 and float64 may decide differently whether an alpha is under 1/255, whether a pixel stops,
 and which of two nearly equal depths comes first. `Blending.slack` says by how much a pixel may jump
@@ -11,6 +11,7 @@ when such a decision flips; it is 0 on the pixels where no decision is close.
 
 import dataclasses
 from math import factorial, pi, sqrt
+from typing import SupportsIndex
 
 import numpy as np
 from scipy.special import expit, lpmv
@@ -49,7 +50,7 @@ class Projection:
 
     @property
     def extents(self) -> np.ndarray:
-        """Half the size of the box around the ellipse alpha = 1/255, (N, 2); 0 where there is none."""
+        """Half the size of the box around the ellipse alpha = 1/255, (N, 2); 0 without one."""
         reach = 2 * np.log(np.maximum(self.opacities / MIN_ALPHA, 1))
         return np.sqrt(reach[:, None] * np.diagonal(self.covs, axis1=1, axis2=2))
 
@@ -136,7 +137,7 @@ def pixel_centers(left: int, top: int, width: int, height: int) -> np.ndarray:
     return np.stack([x.ravel(), y.ravel()], axis=1) + 0.5
 
 
-def alphas(projection: Projection, i: int, pixels: np.ndarray) -> np.ndarray:
+def alphas(projection: Projection, i: SupportsIndex, pixels: np.ndarray) -> np.ndarray:
     """min(0.99, o exp(-sigma)) of a Gaussian at every pixel, not cut off, (pixels,)."""
     # The low-pass adds to the squared singular values: no needle is singular.
     axes, lengths, _ = np.linalg.svd(projection.factors[i])
@@ -157,7 +158,7 @@ def blending(gaussians, camera, *, near=0.2, window=None) -> Blending:
     pixel = _Pixels(len(pixels), close_depth=CLOSE_DEPTH * coordinates)
     weights = np.zeros((len(pixels), len(ids)))
     for column, i in enumerate(ids):
-        weights[:, column] = pixel.take(alphas(projection, i, pixels), projection.depths[i])
+        weights[:, column] = pixel.take(alphas(projection, i, pixels), float(projection.depths[i]))
     return Blending(weights, ids, pixel.slack, len(projection.depths), (height, width))
 
 

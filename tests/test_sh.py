@@ -56,7 +56,9 @@ def test_colors_are_finite_whatever_is_stored(value):
     colors = np.asarray(sh.colors(coefficients, gaussians.means, CENTER))
     assert np.isfinite(colors).all()
     np.testing.assert_allclose(
-        np.delete(colors, 1, axis=0), np.delete(reference.colors(gaussians, CENTER), 1, 0), atol=2e-6
+        np.delete(colors, 1, axis=0),
+        np.delete(reference.colors(gaussians, CENTER), 1, 0),
+        atol=2e-6,
     )
 
 

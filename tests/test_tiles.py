@@ -1,6 +1,7 @@
-"""The tile lists against brute force: every pair that matters, none that does not, in depth order."""
+"""The tile lists against brute force: every pair that matters, no other, in depth order."""
 
 import dataclasses
+from typing import SupportsIndex
 
 import numpy as np
 import pytest
@@ -37,8 +38,10 @@ def listed(lists, tiles: int, count: int) -> np.ndarray:
 
 
 def largest_alphas(gaussians, view) -> tuple[np.ndarray, np.ndarray]:
-    """Largest alpha of every splat in every tile, (tiles, N): at a pixel centre, and anywhere
-    inside the rectangle that the pixel centres of the tile span."""
+    """Largest alpha of every splat in every tile, (tiles, N): at a pixel centre, and anywhere.
+
+    Anywhere means inside the rectangle that the pixel centres of the tile span.
+    """
     projection = reference.project(gaussians, view)
     columns, rows = -(-view.width // TILE), -(-view.height // TILE)
     at_pixels, anywhere = np.zeros((2, rows * columns, len(gaussians)))
@@ -54,15 +57,19 @@ def largest_alphas(gaussians, view) -> tuple[np.ndarray, np.ndarray]:
     return at_pixels, anywhere
 
 
-def _nearest_in_box(projection, i: int, low, high) -> np.ndarray:
+def _nearest_in_box(projection, i: SupportsIndex, low, high) -> np.ndarray:
     """Points of a box among which is that of the largest alpha: the centre, or one of each side."""
     mean = projection.means[i]
     if (low <= mean).all() and (mean <= high).all():
         return mean[None]
     (a, b), (_, c) = projection.covs[i]
     # On a side x = const the exponent is least at dy = dx b / a, and alike on y = const.
-    points = [(x, np.clip(mean[1] + (x - mean[0]) * b / a, low[1], high[1])) for x in (low[0], high[0])]
-    points += [(np.clip(mean[0] + (y - mean[1]) * b / c, low[0], high[0]), y) for y in (low[1], high[1])]
+    points = [
+        (x, np.clip(mean[1] + (x - mean[0]) * b / a, low[1], high[1])) for x in (low[0], high[0])
+    ]
+    points += [
+        (np.clip(mean[0] + (y - mean[1]) * b / c, low[0], high[0]), y) for y in (low[1], high[1])
+    ]
     return np.array(points)
 
 
@@ -100,11 +107,13 @@ def test_lists_follow_one_another_and_are_in_depth_order(size):
     for start, count in zip(lists.starts, lists.counts, strict=True):
         assert (np.diff(depths[lists.ids[start : start + count]]) > 0).all()
     assert len(lists.ids) == lists.counts.sum() > 0
-    assert {array.dtype for array in (lists.ids, lists.starts, lists.counts)} == {np.dtype(np.int32)}
+    assert {array.dtype for array in (lists.ids, lists.starts, lists.counts)} == {
+        np.dtype(np.int32)
+    }
 
 
 def test_ties_in_depth_are_by_index():
-    places = np.zeros((300, 3)) + [0, 0, 2]
+    places = np.tile([0.0, 0, 2], (300, 1))
     places[::3, 2] = 1.5
     lists = bin_splats(project(blobs(places), camera(8, 8)), 8, 8)
     expected = np.concatenate([np.arange(0, 300, 3), np.flatnonzero(np.arange(300) % 3)])

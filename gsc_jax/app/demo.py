@@ -76,20 +76,13 @@ def run_demo(
     Raises:
         InputError: if the folder cannot be written to.
     """
-    case = make_case(
-        tampered_room(
-            seed=options.seed,
-            count=count,
-            views=views,
-            heldout=heldout,
-            width=width,
-            height=height,
-        ),
-        seed=options.seed,
-        progress=progress,
+    made = tampered_room(
+        seed=options.seed, count=count, views=views, heldout=heldout, width=width, height=height
     )
     given = options.out / "input"
-    write_case(given, case)
+    write_scene(given, made)
+    case = make_case(made, seed=options.seed, progress=progress)
+    write_masks(given, case)
     labels = {INVERSE: inverse_projection(case)}
     for method in get_args(Method):
         command = Locate(
@@ -144,20 +137,28 @@ def make_case(made: MadeScene, *, seed: int, progress: Progress) -> Case:
     )
 
 
-def write_case(folder: Path, case: Case) -> None:
-    """Writes a case as files: what `locate` is given, and the truth beside it.
+def write_scene(folder: Path, made: MadeScene) -> None:
+    """Writes the scene and its cameras, which `locate` is given, and which Gaussians are tampered.
 
     Args:
-        folder: Where to; scene.ply, cameras.json and masks/ are the input, the rest the truth.
-        case: The case.
+        folder: Where to: scene.ply, cameras.json, heldout_cameras.json, labels.npy.
+        made: The scene.
     """
-    made = case.made
     save_ply(folder / "scene.ply", made.gaussians)
     save_cameras(folder / "cameras.json", made.cameras)
     save_cameras(folder / "heldout_cameras.json", made.heldout_cameras)
     with atomic(folder / "labels.npy") as temporary:
         np.save(temporary, made.labels)
-    for camera in made.cameras:
+
+
+def write_masks(folder: Path, case: Case) -> None:
+    """Writes what the detector says, which `locate` is given, and the truth in every view.
+
+    Args:
+        folder: Where to: masks/ and truth/, by camera.
+        case: The case.
+    """
+    for camera in case.made.cameras:
         write_probability(image_path(folder / "masks", camera.name), case.detector[camera.name])
     for name, mask in case.truth.items():
         write_mask(image_path(folder / "truth", name), mask)

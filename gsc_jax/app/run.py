@@ -116,7 +116,7 @@ def run_render(options: Render, *, progress: Progress = silent) -> tuple[int, li
 
 
 def _load(options: Look, warnings: list[str], progress: Progress) -> tuple[PlyScene, list[Camera]]:
-    """The scene and the cameras, known to belong together."""
+    """The scene, and the cameras at their scale, whose names can name files."""
     progress("load", 0, 2)
     scene = read_ply(options.scene)
     if scene.dropped:

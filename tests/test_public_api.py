@@ -1,0 +1,133 @@
+"""What every public name promises: documentation, keyword-only options, float32."""
+
+import dataclasses
+import inspect
+import subprocess
+import sys
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+from strategies import camera, random_scene
+
+import gsc_jax
+
+PUBLIC = {name: getattr(gsc_jax, name) for name in gsc_jax.__all__}
+CLASSES = {name: value for name, value in PUBLIC.items() if inspect.isclass(value)}
+FUNCTIONS = {name: value for name, value in PUBLIC.items() if inspect.isfunction(value)}
+CALLABLES = {
+    name: value
+    for name, value in (CLASSES | FUNCTIONS).items()
+    if not (inspect.isclass(value) and issubclass(value, Exception))
+}
+DATACLASSES: dict[str, Any] = {
+    name: value for name, value in CLASSES.items() if dataclasses.is_dataclass(value)
+}
+RENDERERS = {
+    name: value
+    for name, value in FUNCTIONS.items()
+    if list(inspect.signature(value).parameters)[:2] == ["gaussians", "camera"]
+}
+DATA_WITH_A_DEFAULT = {("OnnxDetector", "spec")}
+"""Not options: the second thing that a detector is made of, which may be left out."""
+LAZY = ["gsply", "imageio", "matplotlib", "onnx", "onnxruntime", "plyfile", "pycolmap", "skimage"]
+
+
+def parameters(function) -> list[inspect.Parameter]:
+    return list(inspect.signature(function).parameters.values())
+
+
+def members(cls) -> dict:
+    """Public methods and properties that a class of ours defines itself."""
+    return {
+        name: value
+        for name, value in vars(cls).items()
+        if not name.startswith("_")
+        and (inspect.isfunction(value) or isinstance(value, property))
+        and (getattr(value, "fget", None) or value).__module__.startswith("gsc_jax")
+    }
+
+
+def test_all_names_exactly_what_is_public():
+    found = {
+        name
+        for name, value in vars(gsc_jax).items()
+        if not name.startswith("_") and not inspect.ismodule(value)
+    }
+    assert found == set(gsc_jax.__all__)
+    assert len(gsc_jax.__all__) == len(set(gsc_jax.__all__))
+    assert {"Camera", "Gaussians", "accumulate", "render", "render_features"} <= found
+
+
+@pytest.mark.parametrize("name", CLASSES | FUNCTIONS)
+def test_everything_public_is_documented(name):
+    value = PUBLIC[name]
+    doc = inspect.getdoc(value) or ""
+    # A dataclass without a docstring is given its signature as one.
+    assert doc, f"{name} has no docstring"
+    assert not doc.startswith(f"{name}("), f"{name} has no docstring"
+    assert doc.splitlines()[0].endswith("."), f"the first line on {name} is no sentence"
+    for member, method in members(value).items() if name in CLASSES else ():
+        assert inspect.getdoc(method), f"{name}.{member} has no docstring"
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_every_argument_and_result_is_documented(name):
+    doc = inspect.getdoc(FUNCTIONS[name]) or ""
+    for parameter in parameters(FUNCTIONS[name]):
+        assert f"    {parameter.name}: " in doc, f"{name} does not say what {parameter.name} is"
+    if inspect.signature(FUNCTIONS[name]).return_annotation is not None:
+        assert "Returns:" in doc, f"{name} does not say what it returns"
+
+
+@pytest.mark.parametrize("name", DATACLASSES)
+def test_every_field_is_documented(name):
+    doc = inspect.getdoc(DATACLASSES[name]) or ""
+    for field in dataclasses.fields(DATACLASSES[name]):
+        assert f"    {field.name}: " in doc, f"{name} does not say what {field.name} is"
+
+
+@pytest.mark.parametrize("name", CALLABLES)
+def test_options_are_keyword_only(name):
+    for parameter in parameters(CALLABLES[name]):
+        if (name, parameter.name) not in DATA_WITH_A_DEFAULT:
+            is_option = parameter.default is not inspect.Parameter.empty
+            assert not is_option or parameter.kind is inspect.Parameter.KEYWORD_ONLY, (
+                f"{name}: the option {parameter.name} can be given by position"
+            )
+
+
+@pytest.mark.parametrize("name", DATACLASSES)
+def test_results_and_parameters_are_immutable(name):
+    cls = DATACLASSES[name]
+    instance = object.__new__(cls)
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        setattr(instance, dataclasses.fields(cls)[0].name, None)
+
+
+@pytest.mark.parametrize("name", RENDERERS)
+def test_results_are_float32_whatever_the_type_of_the_arguments(name):
+    gaussians, view = random_scene(20), camera()
+    known = {
+        "features": np.ones((20, 2)),
+        "feature": np.ones(20),
+        "maps": np.ones((15, 17, 2)),
+        "attribute": np.ones(20),
+        "labels": np.ones(20, bool),
+    }
+    required = [p.name for p in parameters(RENDERERS[name])[2:] if p.default is p.empty]
+    result = RENDERERS[name](gaussians, view, *(known[parameter] for parameter in required))
+    dtypes = {leaf.dtype for leaf in jax.tree.leaves(result)}
+    assert dtypes
+    assert dtypes <= {np.dtype(t) for t in ("float32", "int32", "bool")}
+
+
+def test_the_renderers_of_the_contract_are_among_those_checked():
+    assert {"accumulate", "render", "render_features"} <= set(RENDERERS)
+
+
+def test_importing_the_package_imports_nothing_heavy_or_optional():
+    code = f"import sys, gsc_jax; print([m for m in {LAZY} if m in sys.modules])"
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout.strip() == "[]"

@@ -3,7 +3,7 @@
     python experiments/real_scenes.py [--data ../shared/data/tampered] [--out docs]
 
 Prints the tables and writes them to their section of `OUT/results.md`, and a row per view to
-`OUT/real_scenes.csv`. The views looked at have masks of their own; the held-out ones do not. F1, IoU,
+`OUT/real_scenes.csv`. The views looked at have masks; the held-out ones do not. F1, IoU,
 precision and recall are means over the views in which something is tampered (IMDL-BenCo).
 """
 

@@ -11,6 +11,7 @@ import numpy as np
 from gsc_jax.decide import view_mask
 from gsc_jax.detection import Detector, as_detector
 from gsc_jax.errors import InputError
+from gsc_jax.loop import resolved
 from gsc_jax.method import METHODS, Method, MethodConfig, find
 from gsc_jax.observe import observe
 from gsc_jax.scene import Camera, Gaussians
@@ -87,6 +88,8 @@ def locate(
     observation = observe(
         gaussians, chosen, detector, near=config.near, stages=stages, progress=progress
     )
+    loop = resolved(config.loop, config.epochs * len(chosen))
+    config = dataclasses.replace(config, loop=loop)
     with stages("optimise"):
         finding = find(gaussians, chosen, observation, config)
     masks = {}

@@ -121,10 +121,11 @@ def _gamma(config: LoopConfig) -> optax.Schedule:
     return optax.join_schedules(phases, [config.contrastive_start])
 
 
-def _resolved(config: LoopConfig, order: Array) -> LoopConfig:
+def resolved(config: LoopConfig, iterations: int) -> LoopConfig:
+    """The configuration with the iteration of the switch filled in: half-way where it is None."""
     if config.contrastive_start is not None:
         return config
-    return dataclasses.replace(config, contrastive_start=len(order) // 2)
+    return dataclasses.replace(config, contrastive_start=iterations // 2)
 
 
 def _adam(learning_rate: float) -> optax.GradientTransformation:
@@ -149,7 +150,7 @@ def fit(
     Returns:
         The attribute, shape (N,), and the infos of all the iterations.
     """
-    config = _resolved(config, order)
+    config = resolved(config, len(order))
     weights = {"lambda1": config.lambda1, "lambda2": config.lambda2}
 
     def iterate(state, view):
@@ -182,7 +183,7 @@ def fit_rendered(
     Returns:
         As `fit`.
     """
-    config = _resolved(config, order)
+    config = resolved(config, len(order))
     state, infos = init(r), []
     for index in np.asarray(order):
         state, info = _rendered_step(state, *look(int(index)), attributes, config)

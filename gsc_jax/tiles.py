@@ -8,6 +8,7 @@ expansion, tile order from one after it; both are radix-free vectorised sorts in
 """
 
 import dataclasses
+from typing import NamedTuple
 
 import numpy as np
 
@@ -45,38 +46,72 @@ def bin_splats(splats: Splats, width: int, height: int) -> TileLists:
     """
     columns, rows = -(-width // TILE), -(-height // TILE)
     order = _front_to_back(np.asarray(splats.depths), np.asarray(splats.visible))
-    means, covs, reach = (np.asarray(x)[order] for x in (splats.means, splats.covs, splats.reach))
-    minor = np.float32(0.5) / np.asarray(splats.whitening)[order, 0] ** 2
+    ellipses = _ellipses(splats, order)
+    reach_y = (ellipses.y - ellipses.bottom, ellipses.y + ellipses.bottom)
+    owner, row = _expand(*_tile_range(*reach_y, rows))
+    left, right = _cut(Ellipses(*(column.take(owner) for column in ellipses)), row)
+    strip, column = _expand(*_tile_range(left, right, columns))
 
-    first_row, last_row = _span(means[:, 1], np.sqrt(reach * covs[:, 2]), rows)
-    owner, row = _expand(first_row, last_row)
-    left, right = _cut(means[owner], covs[owner], minor[owner], reach[owner], row)
-    first, last = _tile_range(left, right, columns)
-    strip, column = _expand(first, last)
-
-    keys = (row[strip] * columns + column).astype(np.uint64) << np.uint64(32)
-    keys |= owner[strip].astype(np.uint64)
+    tile = row.take(strip) * columns + column
+    keys = _packed(tile, owner.take(strip))
     keys.sort()
-    counts = np.bincount((keys >> np.uint64(32)).astype(np.int64), minlength=rows * columns)
-    ids = order[(keys & np.uint64(0xFFFFFFFF)).astype(np.int64)]
-    starts = np.cumsum(counts) - counts
+    tile, splat = _unpacked(keys)
+    counts = np.bincount(tile, minlength=rows * columns)
     return TileLists(
-        ids=ids.astype(np.int32), starts=starts.astype(np.int32), counts=counts.astype(np.int32)
+        ids=order.take(splat).astype(np.int32),
+        starts=(np.cumsum(counts) - counts).astype(np.int32),
+        counts=counts.astype(np.int32),
     )
+
+
+def _packed(major: np.ndarray, minor: np.ndarray) -> np.ndarray:
+    """Keys of 64 bits that sort by one integer, then by the other."""
+    return major.astype(np.uint64) << np.uint64(32) | minor.astype(np.uint64)
+
+
+def _unpacked(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return (keys >> np.uint64(32)).astype(np.int64), keys.astype(np.uint32).astype(np.int64)
 
 
 def _front_to_back(depths: np.ndarray, visible: np.ndarray) -> np.ndarray:
     """Indices of the visible splats by depth, ties by index: positive floats sort as their bits."""
     index = np.flatnonzero(visible)
-    keys = depths[index].view(np.uint32).astype(np.uint64) << np.uint64(32)
-    keys |= index.astype(np.uint64)
+    keys = _packed(depths.take(index).view(np.uint32), index)
     keys.sort()
-    return (keys & np.uint64(0xFFFFFFFF)).astype(np.int64)
+    return _unpacked(keys)[1]
 
 
-def _span(center: np.ndarray, extent: np.ndarray, tiles: int) -> tuple[np.ndarray, np.ndarray]:
-    """First and last tile along one axis that `center +- extent` touches."""
-    return _tile_range(center - extent, center + extent, tiles)
+class Ellipses(NamedTuple):
+    """Where alpha = 1/255, as x = x_0 + slope dy +- sqrt(width - taper dy^2), a column each.
+
+    It spans y_0 +- bottom, and is rightmost at dy = summit.
+    """
+
+    x: np.ndarray
+    y: np.ndarray
+    bottom: np.ndarray
+    summit: np.ndarray
+    slope: np.ndarray
+    width: np.ndarray
+    taper: np.ndarray
+
+
+def _ellipses(splats: Splats, order: np.ndarray) -> Ellipses:
+    """The ellipses of these splats: with det / c from the whitening, as a c - b^2 would cancel."""
+    (x, y), (a, b, c), (steep, _, _) = (
+        np.asarray(leaf).take(order, axis=0).T.copy()
+        for leaf in (splats.means, splats.covs, splats.whitening)
+    )
+    reach, det_over_c = np.asarray(splats.reach).take(order), np.float32(0.5) / steep**2
+    return Ellipses(
+        x=x,
+        y=y,
+        bottom=np.sqrt(reach * c),
+        summit=b * np.sqrt(reach / a),
+        slope=b / c,
+        width=reach * det_over_c,
+        taper=det_over_c / c,
+    )
 
 
 def _tile_range(low: np.ndarray, high: np.ndarray, tiles: int) -> tuple[np.ndarray, np.ndarray]:
@@ -87,33 +122,28 @@ def _tile_range(low: np.ndarray, high: np.ndarray, tiles: int) -> tuple[np.ndarr
 
 
 def _expand(first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Every integer of every range [first, last], with the index of the range it belongs to."""
+    """Every integer of every range [first, last], after the index of the range it belongs to."""
     lengths = np.maximum(last - first + 1, 0)
-    owner = np.repeat(np.arange(len(first), dtype=np.int32), lengths)
-    offset = np.cumsum(lengths, dtype=np.int32) - lengths
-    return owner, np.arange(len(owner), dtype=np.int32) + (first - offset)[owner]
+    owner = np.repeat(np.arange(len(first)), lengths)
+    offset = first - (np.cumsum(lengths) - lengths)
+    return owner, np.arange(len(owner)) + offset.take(owner)
 
 
-def _cut(means, covs, minor, reach, row) -> tuple[np.ndarray, np.ndarray]:
+def _cut(ellipses: Ellipses, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Leftmost and rightmost x of each ellipse inside the strip of pixel centres of a tile row.
 
-    On the ellipse, x = (b / c) dy +- sqrt((reach - dy^2 / c) det / c). The right end is concave in
-    dy with its summit where the ellipse is rightmost, the left end mirrors it, so clamping the
-    summit to the strip finds both. `minor` is det / c, from the whitening: a c - b^2 would cancel
-    for a needle.
+    The right end is concave in dy with its summit where the ellipse is rightmost, and the left end
+    mirrors it, so clamping the summit to the strip finds both.
     """
-    a, b, c = covs.T
-    bottom = np.sqrt(reach * c)
-    low = np.maximum(row * np.float32(TILE) + np.float32(0.5) - means[:, 1], -bottom)
-    high = np.minimum(row * np.float32(TILE) + np.float32(TILE - 0.5) - means[:, 1], bottom)
-    summit = b * np.sqrt(reach / a)
-    slope = b / c
+    x, y, bottom, summit, slope, width, taper = ellipses
+    top = row.astype(np.float32) * TILE + np.float32(0.5) - y
+    low, high = np.maximum(top, -bottom), np.minimum(top + np.float32(TILE - 1), bottom)
 
     def half_width(dy):
-        return np.sqrt(np.maximum(reach - dy * dy / c, 0) * minor)
+        return np.sqrt(np.maximum(width - taper * dy * dy, 0))
 
     right, left = np.clip(summit, low, high), np.clip(-summit, low, high)
     return (
-        means[:, 0] + slope * left - half_width(left),
-        means[:, 0] + slope * right + half_width(right),
+        x + slope * left - half_width(left),
+        x + slope * right + half_width(right),
     )

@@ -10,7 +10,7 @@ import pytest
 COMPILED: list[str] = []
 
 
-def _count(event: str, _duration: float, **_about) -> None:
+def _count(event: str, duration_secs: float, **kwargs: str | int) -> None:
     if "backend_compile" in event:
         COMPILED.append(event)
 

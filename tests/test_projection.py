@@ -98,7 +98,6 @@ ROWS = {
     "log_scales": [np.nan, np.inf, 89.0, 3e38],
     "quats": [np.nan, np.inf, -np.inf],
     "logit_opacities": [np.nan, -np.inf, -3e38],
-    "sh": [np.nan, np.inf, -np.inf],
 }
 
 

@@ -20,7 +20,8 @@ import gsc_jax
 from gsc_jax.benchmark.scenes import make_room, room_cameras
 from gsc_jax.projection import project
 from gsc_jax.sh import colors
-from gsc_jax.splat import accumulate, bin_view, composite
+from gsc_jax.splat import accumulate, composite
+from gsc_jax.tiles import bin_view
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "scenes"
 

@@ -13,7 +13,8 @@ from gsc_jax.loop import LoopConfig
 from gsc_jax.method import METHODS, MethodConfig
 from gsc_jax.scene import Camera, Gaussians
 from gsc_jax.splat import accumulate_maps as accumulate
-from gsc_jax.splat import make_view, render, render_features
+from gsc_jax.splat import render, render_features
+from gsc_jax.tiles import make_view
 from gsc_jax.views import orbit_cameras
 
 __all__ = [

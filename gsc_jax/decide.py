@@ -13,7 +13,8 @@ import numpy as np
 
 from gsc_jax.projection import NEAR
 from gsc_jax.scene import Array, Camera, Gaussians
-from gsc_jax.splat import composite_with_alpha, make_view
+from gsc_jax.splat import composite_with_alpha
+from gsc_jax.tiles import make_view
 
 MaskRule = Literal["share", "attribute", "per-view"]
 MIN_COVERAGE = 0.1

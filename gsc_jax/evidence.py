@@ -12,7 +12,8 @@ import numpy as np
 
 from gsc_jax.pytree import pytree
 from gsc_jax.scene import Array
-from gsc_jax.splat import View, accumulate
+from gsc_jax.splat import accumulate
+from gsc_jax.tiles import View
 
 
 @pytree

@@ -19,7 +19,8 @@ import optax
 from gsc_jax.evidence import Evidence
 from gsc_jax.losses import loss_2d, loss_2d_from_evidence, loss_3d, partition
 from gsc_jax.scene import Array
-from gsc_jax.splat import View, composite
+from gsc_jax.splat import composite
+from gsc_jax.tiles import View
 
 
 @functools.partial(

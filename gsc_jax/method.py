@@ -17,7 +17,7 @@ from gsc_jax.losses import official_attributes, paper_attributes, standardised_a
 from gsc_jax.observe import Observation
 from gsc_jax.projection import NEAR
 from gsc_jax.scene import Camera, Gaussians
-from gsc_jax.splat import View, make_view
+from gsc_jax.tiles import View, make_view
 from gsc_jax.vote import official_consensus, paper_consensus
 
 Method = Literal["paper", "official"]

@@ -15,8 +15,9 @@ from gsc_jax.detection import Detector, fit_to_view
 from gsc_jax.evidence import Evidence, stack_evidence, view_evidence
 from gsc_jax.projection import NEAR, project, project_centers
 from gsc_jax.scene import Camera, Gaussians
-from gsc_jax.splat import bin_view, shade
+from gsc_jax.splat import shade
 from gsc_jax.stages import Progress, Stages, silent
+from gsc_jax.tiles import bin_view
 from gsc_jax.vote import Tally, cast_votes, tally
 
 

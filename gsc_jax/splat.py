@@ -8,122 +8,31 @@ The loop ends early, so JAX cannot reverse through it; `composite` is given `acc
 backward pass instead, with respect to the features only: the method never moves a Gaussian.
 """
 
-import dataclasses
-import functools
+import math
 from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
-from gsc_jax.projection import MIN_ALPHA, NEAR, Splats, project
+from gsc_jax.projection import MIN_ALPHA, NEAR
 from gsc_jax.scene import Array, Camera, Gaussians
 from gsc_jax.sh import colors
-from gsc_jax.tiles import TILE, bin_splats
+from gsc_jax.tiles import TILE, View, make_view
 
 MAX_ALPHA = 0.99
 MIN_TRANSMITTANCE = 1e-4
 """A pixel stops before its transmittance would fall below this."""
+LOG_MIN_ALPHA = math.log(MIN_ALPHA)
 CHUNK = 16
 """Splats per step of the lockstep loop."""
-CPU_LOCKSTEP = 64
-"""Tiles that walk together on a CPU: their weights for a chunk then fit into the L2 cache."""
-
-
-@functools.partial(
-    jax.tree_util.register_dataclass,
-    data_fields=["splats", "ids", "tiles", "starts", "counts"],
-    meta_fields=["width", "height", "lockstep"],
-)
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class View:
-    """A scene seen by a camera: all that is needed to apply W or its adjoint.
-
-    Attributes:
-        splats: Mean, whitening and opacity of each Gaussian, then a row of zeros that pads the
-            lists, shape (N + 1, 6).
-        ids: The lists of all tiles one after the other, padded to a bucket size.
-        tiles: Tiles, longest list first, padded to a multiple of `lockstep`.
-        starts: Where the list of each of these begins in `ids`.
-        counts: How long it is.
-        width: Image width in pixels.
-        height: Image height in pixels.
-        lockstep: How many tiles walk together.
-    """
-
-    splats: Array
-    ids: Array
-    tiles: Array
-    starts: Array
-    counts: Array
-    width: int
-    height: int
-    lockstep: int
-
-    @property
-    def grid(self) -> tuple[int, int]:
-        """Rows and columns of tiles."""
-        return -(-self.height // TILE), -(-self.width // TILE)
-
-
-def make_view(
-    gaussians: Gaussians, camera: Camera, *, near: float = NEAR, lockstep: int | None = None
-) -> View:
-    """Project and bin a scene for a camera.
-
-    Args:
-        gaussians: N Gaussians, not traced: the length of the lists depends on the data.
-        camera: The view.
-        near: Near plane in world units.
-        lockstep: Tiles that walk together; 64 on a CPU and all of them on an accelerator.
-
-    Returns:
-        The view. Its arrays have one of a few sizes, so that another camera recompiles nothing.
-    """
-    return bin_view(project(gaussians, camera, near=near), camera, lockstep=lockstep)
-
-
-def bin_view(splats: Splats, camera: Camera, *, lockstep: int | None = None) -> View:
-    """Bin projected Gaussians: the second half of `make_view`, with the same arguments."""
-    lists = bin_splats(splats, camera.width, camera.height)
-    tiles = len(lists.counts)
-    if lockstep is None:
-        lockstep = CPU_LOCKSTEP if jax.default_backend() == "cpu" else tiles
-    lockstep = min(lockstep, tiles)
-    padding = (0, -tiles % lockstep)
-    longest_first = np.argsort(-lists.counts, kind="stable").astype(np.int32)
-    return View(
-        splats=_table(splats),
-        ids=jnp.asarray(_padded(lists.ids)),
-        tiles=jnp.asarray(np.pad(longest_first, padding, constant_values=tiles)),
-        starts=jnp.asarray(np.pad(lists.starts[longest_first], padding)),
-        counts=jnp.asarray(np.pad(lists.counts[longest_first], padding)),
-        width=camera.width,
-        height=camera.height,
-        lockstep=lockstep,
-    )
-
-
-def _padded(ids: np.ndarray) -> np.ndarray:
-    """Pad to a power of four: the padding is never read, and sizes seldom differ between views."""
-    size = 1 << 12
-    while size < len(ids):
-        size *= 4
-    return np.pad(ids, (0, size - len(ids)))
-
-
-@jax.jit
-def _table(splats: Splats) -> jax.Array:
-    table = [splats.means, splats.whitening, splats.opacities[:, None]]
-    return jnp.pad(jnp.concatenate(table, axis=1), ((0, 1), (0, 0)))
 
 
 def alpha_at(splat: jax.Array, pixel: jax.Array) -> jax.Array:
     """Opacity of one splat at one pixel centre.
 
     Args:
-        splat: Mean x y, whitening a b c and opacity, shape (6,).
+        splat: Mean x y, whitening a b c and log opacity, shape (6,).
         pixel: x and y in pixels, shape (2,).
 
     Returns:
@@ -131,8 +40,9 @@ def alpha_at(splat: jax.Array, pixel: jax.Array) -> jax.Array:
     """
     dx, dy = pixel[0] - splat[0], pixel[1] - splat[1]
     sigma = (splat[2] * dx + splat[3] * dy) ** 2 + (splat[4] * dy) ** 2
-    alpha = jnp.minimum(MAX_ALPHA, splat[5] * jnp.exp(-sigma))
-    return jnp.where(alpha >= MIN_ALPHA, alpha, 0.0)
+    log_alpha = splat[5] - sigma
+    alpha = jnp.minimum(MAX_ALPHA, jnp.exp(log_alpha))
+    return jnp.where(log_alpha >= LOG_MIN_ALPHA, alpha, 0.0)
 
 
 def blend_pixel(transmittance: jax.Array, alphas: jax.Array) -> tuple[jax.Array, jax.Array]:

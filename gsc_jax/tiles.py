@@ -1,21 +1,116 @@
-"""Which splats touch which tile, front to back: the only step whose size depends on the data.
+"""Which splats touch which tile, front to back: a scene as a camera sees it, a `View`.
 
-It runs in NumPy on the host. A splat reaches where alpha >= 1/255, which is an ellipse, and a tile
+It is the only step whose size depends on the data, so it runs in NumPy on the host. A splat reaches where alpha >= 1/255, which is an ellipse, and a tile
 is the rectangle spanned by its pixel centres. Ellipse and rectangle are convex, so it is exact to
 cut the ellipse with the strip of each row of tiles and to take the columns that the cut covers: no
 candidate is made and rejected. Depth order comes from one sort of packed 64-bit keys before the
-expansion, tile order from one after it; both are radix-free vectorised sorts in NumPy 2.
+expansion, tile order from one after it; NumPy 2 sorts these with vector instructions.
 """
 
 import dataclasses
+import functools
 from typing import NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
-from gsc_jax.projection import Splats
+from gsc_jax.projection import NEAR, Splats, project
+from gsc_jax.scene import Array, Camera, Gaussians
 
 TILE = 8
 """Side of a tile in pixels."""
+CPU_LOCKSTEP = 64
+"""Tiles that walk together on a CPU: their weights for a chunk then fit into the L2 cache."""
+
+
+@functools.partial(
+    jax.tree_util.register_dataclass,
+    data_fields=["splats", "ids", "tiles", "starts", "counts"],
+    meta_fields=["width", "height", "lockstep"],
+)
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class View:
+    """A scene seen by a camera: all that is needed to apply W or its adjoint.
+
+    Attributes:
+        splats: Mean, whitening and log opacity of each Gaussian, and a transparent row that pads
+            the lists, shape (N + 1, 6).
+        ids: The lists of all tiles one after the other, padded to a bucket size.
+        tiles: Tiles, longest list first, padded to a multiple of `lockstep`.
+        starts: Where the list of each of these begins in `ids`.
+        counts: How long it is.
+        width: Image width in pixels.
+        height: Image height in pixels.
+        lockstep: How many tiles walk together.
+    """
+
+    splats: Array
+    ids: Array
+    tiles: Array
+    starts: Array
+    counts: Array
+    width: int
+    height: int
+    lockstep: int
+
+    @property
+    def grid(self) -> tuple[int, int]:
+        """Rows and columns of tiles."""
+        return -(-self.height // TILE), -(-self.width // TILE)
+
+
+def make_view(
+    gaussians: Gaussians, camera: Camera, *, near: float = NEAR, lockstep: int | None = None
+) -> View:
+    """Project and bin a scene for a camera.
+
+    Args:
+        gaussians: N Gaussians, not traced: the length of the lists depends on the data.
+        camera: The view.
+        near: Near plane in world units.
+        lockstep: Tiles that walk together; 64 on a CPU and all of them on an accelerator.
+
+    Returns:
+        The view. Its arrays have one of a few sizes, so that another camera recompiles nothing.
+    """
+    return bin_view(project(gaussians, camera, near=near), camera, lockstep=lockstep)
+
+
+def bin_view(splats: Splats, camera: Camera, *, lockstep: int | None = None) -> View:
+    """Bin projected Gaussians: the second half of `make_view`, with the same arguments."""
+    lists = bin_splats(splats, camera.width, camera.height)
+    tiles = len(lists.counts)
+    if lockstep is None:
+        lockstep = CPU_LOCKSTEP if jax.default_backend() == "cpu" else tiles
+    lockstep = min(lockstep, tiles)
+    padding = (0, -tiles % lockstep)
+    longest_first = np.argsort(-lists.counts, kind="stable").astype(np.int32)
+    return View(
+        splats=_table(splats),
+        ids=jnp.asarray(_padded(lists.ids)),
+        tiles=jnp.asarray(np.pad(longest_first, padding, constant_values=tiles)),
+        starts=jnp.asarray(np.pad(lists.starts[longest_first], padding)),
+        counts=jnp.asarray(np.pad(lists.counts[longest_first], padding)),
+        width=camera.width,
+        height=camera.height,
+        lockstep=lockstep,
+    )
+
+
+def _padded(ids: np.ndarray) -> np.ndarray:
+    """Pad to a power of four: the padding is never read, and sizes seldom differ between views."""
+    size = 1 << 12
+    while size < len(ids):
+        size *= 4
+    return np.pad(ids, (0, size - len(ids)))
+
+
+@jax.jit
+def _table(splats: Splats) -> jax.Array:
+    table = [splats.means, splats.whitening, jnp.log(splats.opacities)[:, None]]
+    padded = jnp.pad(jnp.concatenate(table, axis=1), ((0, 1), (0, 0)))
+    return padded.at[-1, -1].set(-jnp.inf)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -9,7 +9,8 @@ from strategies import blobs, camera, random_scene
 
 from gsc_jax.evidence import Evidence, stack_evidence, view_evidence
 from gsc_jax.losses import loss_2d, loss_2d_from_evidence
-from gsc_jax.splat import composite, make_view, render_features
+from gsc_jax.splat import composite, render_features
+from gsc_jax.tiles import make_view
 
 CAMERA = camera(17, 15)
 SCENE = random_scene(40)

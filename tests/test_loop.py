@@ -14,7 +14,7 @@ from gsc_jax.evidence import Evidence, stack_evidence, view_evidence
 from gsc_jax.locate import locate
 from gsc_jax.loop import LoopConfig, fit, fit_rendered, init, step, view_order
 from gsc_jax.method import ATTRIBUTES, METHODS
-from gsc_jax.splat import make_view
+from gsc_jax.tiles import make_view
 
 pytestmark = pytest.mark.usefixtures("optax_promotes")
 

@@ -1,10 +1,10 @@
 """Which splats touch which tile, front to back: a scene as a camera sees it, a `View`.
 
-It is the only step whose size depends on the data, so it runs in NumPy on the host. A splat reaches where alpha >= 1/255, which is an ellipse, and a tile
-is the rectangle spanned by its pixel centres. Ellipse and rectangle are convex, so it is exact to
-cut the ellipse with the strip of each row of tiles and to take the columns that the cut covers: no
-candidate is made and rejected. Depth order comes from one sort of packed 64-bit keys before the
-expansion, tile order from one after it; NumPy 2 sorts these with vector instructions.
+Its size depends on the data, so it is made in NumPy on the host. A splat reaches where
+alpha >= 1/255, which is an ellipse, and a tile is the rectangle spanned by its pixel centres. Both
+are convex, so it is exact to cut the ellipse with the strip of each row of tiles and to take the
+columns that the cut covers: no candidate is made and rejected. Pairs of integers are packed into
+keys of 64 bits, which NumPy 2 sorts with vector instructions: once by depth, then by tile.
 """
 
 import dataclasses
@@ -22,6 +22,8 @@ TILE = 8
 """Side of a tile in pixels."""
 CPU_LOCKSTEP = 64
 """Tiles that walk together on a CPU: their weights for a chunk then fit into the L2 cache."""
+UNIT = np.int64(1) << 32
+"""What the major half of a sort key is multiplied with; the minor half is an index."""
 
 
 @functools.partial(
@@ -142,36 +144,24 @@ def bin_splats(splats: Splats, width: int, height: int) -> TileLists:
     columns, rows = -(-width // TILE), -(-height // TILE)
     order = _front_to_back(np.asarray(splats.depths), np.asarray(splats.visible))
     ellipses = _ellipses(splats, order)
-    reach_y = (ellipses.y - ellipses.bottom, ellipses.y + ellipses.bottom)
-    owner, row = _expand(*_tile_range(*reach_y, rows))
+    low, high = ellipses.y - ellipses.bottom, ellipses.y + ellipses.bottom
+    row, owner = _unpacked(_packed(*_tile_range(low, high, rows), np.arange(len(order))))
     left, right = _cut(Ellipses(*(column.take(owner) for column in ellipses)), row)
-    strip, column = _expand(*_tile_range(left, right, columns))
-
-    tile = row.take(strip) * columns + column
-    keys = _packed(tile, owner.take(strip))
+    first, lengths = _tile_range(left, right, columns)
+    keys = _packed(row * columns + first, lengths, owner)
     keys.sort()
-    tile, splat = _unpacked(keys)
-    counts = np.bincount(tile, minlength=rows * columns)
+    bounds = np.searchsorted(keys, np.arange(rows * columns + 1) * UNIT).astype(np.int32)
     return TileLists(
-        ids=order.take(splat).astype(np.int32),
-        starts=(np.cumsum(counts) - counts).astype(np.int32),
-        counts=counts.astype(np.int32),
+        ids=order.take(_unpacked(keys)[1]).astype(np.int32),
+        starts=bounds[:-1],
+        counts=np.diff(bounds),
     )
-
-
-def _packed(major: np.ndarray, minor: np.ndarray) -> np.ndarray:
-    """Keys of 64 bits that sort by one integer, then by the other."""
-    return major.astype(np.uint64) << np.uint64(32) | minor.astype(np.uint64)
-
-
-def _unpacked(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    return (keys >> np.uint64(32)).astype(np.int64), keys.astype(np.uint32).astype(np.int64)
 
 
 def _front_to_back(depths: np.ndarray, visible: np.ndarray) -> np.ndarray:
     """Indices of the visible splats by depth, ties by index: positive floats sort as their bits."""
     index = np.flatnonzero(visible)
-    keys = _packed(depths.take(index).view(np.uint32), index)
+    keys = depths.take(index).view(np.int32) * UNIT + index
     keys.sort()
     return _unpacked(keys)[1]
 
@@ -210,18 +200,21 @@ def _ellipses(splats: Splats, order: np.ndarray) -> Ellipses:
 
 
 def _tile_range(low: np.ndarray, high: np.ndarray, tiles: int) -> tuple[np.ndarray, np.ndarray]:
-    """First and last tile whose pixel centres [8 t + 0.5, 8 t + 7.5] meet [low, high], clipped."""
-    first = np.ceil((low - (TILE - 0.5)) / TILE)
-    last = np.floor((high - 0.5) / TILE)
-    return np.clip(first, 0, tiles).astype(np.int32), np.clip(last, -1, tiles - 1).astype(np.int32)
+    """First tile whose pixel centres [8 t + 0.5, 8 t + 7.5] meet [low, high], and how many do."""
+    first = np.clip(np.ceil((low - (TILE - 0.5)) / TILE), 0, tiles).astype(np.int64)
+    last = np.clip(np.floor((high - 0.5) / TILE), -1, tiles - 1).astype(np.int64)
+    return first, np.maximum(last - first + 1, 0)
 
 
-def _expand(first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Every integer of every range [first, last], after the index of the range it belongs to."""
-    lengths = np.maximum(last - first + 1, 0)
-    owner = np.repeat(np.arange(len(first)), lengths)
-    offset = first - (np.cumsum(lengths) - lengths)
-    return owner, np.arange(len(owner)) + offset.take(owner)
+def _packed(first: np.ndarray, lengths: np.ndarray, index: np.ndarray) -> np.ndarray:
+    """Keys of (first, index), (first + 1, index), ... for every range and its index."""
+    ends = np.cumsum(lengths)
+    starts = (first - (ends - lengths)) * UNIT + index
+    return np.repeat(starts, lengths) + np.arange(ends[-1] if len(ends) else 0) * UNIT
+
+
+def _unpacked(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return keys >> 32, keys & (UNIT - 1)
 
 
 def _cut(ellipses: Ellipses, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -50,7 +50,13 @@ def view_evidence(view: View, mask: Array) -> Evidence:
     return Evidence(total=total, tampered=jnp.minimum(tampered, total))
 
 
+def empty_evidence(views: int, count: int) -> Evidence:
+    """Evidence of V views of N Gaussians to be filled in, in the memory of the host, all zeros."""
+    total, tampered = np.zeros((2, views, count), np.float32)
+    return Evidence(total=total, tampered=tampered)
+
+
 def stack_evidence(views: Iterable[Evidence]) -> Evidence:
-    """Stack the evidence of V views to shapes (V, N); held by the host until it is used."""
+    """Stack the evidence of V views to shapes (V, N)."""
     views = list(views)
     return jax.tree.map(lambda *leaves: np.stack([np.asarray(x) for x in leaves]), *views)

@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import jax
@@ -12,8 +13,9 @@ from gsc_jax.decide import view_mask
 from gsc_jax.detection import Detector, as_detector
 from gsc_jax.errors import InputError
 from gsc_jax.loop import resolved
-from gsc_jax.method import METHODS, Method, MethodConfig, find
+from gsc_jax.method import METHODS, Finding, Method, MethodConfig, find
 from gsc_jax.observe import observe
+from gsc_jax.parallel import WORKERS, ahead
 from gsc_jax.scene import Camera, Gaussians
 from gsc_jax.stages import Progress, Stages, silent
 from gsc_jax.views import check_views
@@ -92,19 +94,7 @@ def locate(
     config = dataclasses.replace(config, loop=loop)
     with stages("optimise"):
         finding = find(gaussians, chosen, observation, config)
-    masks = {}
-    for camera in cameras:
-        with stages("masks"):
-            masks[camera.name] = view_mask(
-                gaussians,
-                camera,
-                finding.attribute,
-                finding.labels,
-                rule=config.mask_rule,
-                threshold=config.threshold,
-                near=config.near,
-            )
-        progress("masks", len(masks), len(cameras))
+    masks = _masks(gaussians, cameras, finding, config, stages, progress)
     return Result(
         tamper=finding.tamper,
         labels=finding.labels,
@@ -118,6 +108,36 @@ def locate(
         stages=stages.summary(),
         warnings=[*warnings, *finding.warnings, *getattr(detector, "warnings", ())],
     )
+
+
+def _masks(
+    gaussians: Gaussians,
+    cameras: Sequence[Camera],
+    finding: Finding,
+    config: MethodConfig,
+    stages: Stages,
+    progress: Progress,
+) -> dict[str, np.ndarray]:
+    """The tampered pixels of every view, by camera name."""
+
+    def mask_of(camera: Camera) -> np.ndarray:
+        with stages("masks"):
+            return view_mask(
+                gaussians,
+                camera,
+                finding.attribute,
+                finding.labels,
+                rule=config.mask_rule,
+                threshold=config.threshold,
+                near=config.near,
+            )
+
+    masks = {}
+    with ThreadPoolExecutor(WORKERS) as pool:
+        for camera, mask in zip(cameras, ahead(pool, mask_of, cameras), strict=True):
+            masks[camera.name] = mask
+            progress("masks", len(masks), len(cameras))
+    return masks
 
 
 def _select(detector: Detector, cameras: Sequence[Camera], warnings: list[str]) -> list[Camera]:

@@ -5,19 +5,22 @@ that stands for eq. 9 and 10). Its result can be optimised under any number of c
 """
 
 import dataclasses
-import typing
-from collections.abc import Sequence
+import functools
+import operator
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 import jax
 import numpy as np
 
 from gsc_jax.detection import Detector, fit_to_view
-from gsc_jax.evidence import Evidence, stack_evidence, view_evidence
+from gsc_jax.evidence import Evidence, empty_evidence, view_evidence
+from gsc_jax.parallel import WORKERS, ahead
 from gsc_jax.projection import NEAR, project, project_centers
 from gsc_jax.scene import Camera, Gaussians
 from gsc_jax.splat import shade
 from gsc_jax.stages import Progress, Stages, silent
-from gsc_jax.tiles import bin_view
+from gsc_jax.tiles import View, bin_view
 from gsc_jax.vote import Tally, cast_votes, tally
 
 
@@ -53,27 +56,45 @@ def observe(
         Evidence (V, N), the tally of the votes, and the detections by camera name.
     """
     stages = stages or Stages()
-    evidence, votes, detections = [], None, {}
-    for done, camera in enumerate(cameras, start=1):
+    evidence = empty_evidence(len(cameras), len(gaussians))
+    votes, detections = [], {}
+
+    def prepare(camera: Camera) -> tuple[View, np.ndarray | None]:
         with stages("project"):
             splats = jax.block_until_ready(project(gaussians, camera, near=near))
         with stages("bin"):
             view = bin_view(splats, camera)
-        image = None
-        if detector.needs_image:
-            with stages("render"):
-                image = np.asarray(shade(view, gaussians, camera)[0])
-        with stages("detect"):
-            probability = fit_to_view(detector(image, camera), camera)
-            mask = probability > 0.5
+        if not detector.needs_image:
+            return view, None
+        with stages("render"):
+            return view, np.asarray(shade(view, gaussians, camera)[0])
+
+    def judged() -> Iterator[tuple[int, View, np.ndarray]]:
+        # Detectors run here, in the calling thread: nobody promised that they share.
+        prepared = ahead(pool, prepare, cameras)
+        for index, (camera, (view, image)) in enumerate(zip(cameras, prepared, strict=True)):
+            with stages("detect"):
+                probability = fit_to_view(detector(image, camera), camera)
+            detections[camera.name] = probability
+            yield index, view, probability > 0.5
+
+    def lift(job: tuple[int, View, np.ndarray]) -> Tally:
+        index, view, mask = job
         with stages("lift"):
-            evidence.append(jax.tree.map(np.asarray, view_evidence(view, mask)))
+            one = view_evidence(view, mask)
+            evidence.total[index], evidence.tampered[index] = one.total, one.tampered
         with stages("vote"):
-            centers, depths = project_centers(gaussians.means, camera.viewmat, camera.K)
-            counts = tally(cast_votes(centers, depths, mask)[None])
-            votes = counts if votes is None else votes + counts
-        detections[camera.name] = probability
-        progress("look", done, len(cameras))
+            return _votes(gaussians, cameras[index], mask)
+
+    with ThreadPoolExecutor(WORKERS) as pool:
+        for done, counts in enumerate(ahead(pool, lift, judged()), start=1):
+            votes.append(counts)
+            progress("look", done, len(cameras))
     return Observation(
-        evidence=stack_evidence(evidence), votes=typing.cast(Tally, votes), detections=detections
+        evidence=evidence, votes=functools.reduce(operator.add, votes), detections=detections
     )
+
+
+def _votes(gaussians: Gaussians, camera: Camera, mask: np.ndarray) -> Tally:
+    centers, depths = project_centers(gaussians.means, camera.viewmat, camera.K)
+    return jax.block_until_ready(tally(cast_votes(centers, depths, mask)[None]))

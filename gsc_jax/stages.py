@@ -2,6 +2,7 @@
 
 import contextlib
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 
@@ -15,11 +16,15 @@ def silent(stage: str, done: int, total: int) -> None:
 
 
 class Stages:
-    """Collects how long each stage took and the memory peak of the process when it ended."""
+    """Collects how long each stage took and the memory peak of the process when it ended.
+
+    Stages that run in several threads overlap: their seconds then add up to more than has passed.
+    """
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
         self.peak_mib: dict[str, float] = {}
+        self._lock = threading.Lock()
 
     @contextlib.contextmanager
     def __call__(self, name: str) -> Iterator[None]:
@@ -29,8 +34,9 @@ class Stages:
             yield
         finally:
             elapsed = time.perf_counter() - begin
-            self.seconds[name] = self.seconds.get(name, 0.0) + elapsed
-            self.peak_mib[name] = peak_memory_mib()
+            with self._lock:
+                self.seconds[name] = self.seconds.get(name, 0.0) + elapsed
+                self.peak_mib[name] = peak_memory_mib()
 
     def summary(self) -> dict[str, dict[str, float]]:
         """Seconds and peak MiB by stage, in the order of their first block."""

@@ -1,126 +1,156 @@
-"""Time per stage of a view, ours against the plain variant, in one process and on the same scene.
+"""Time per stage of a view, beside what one would write first and beside the machine's limit.
 
-    python benchmarks/splat.py [--scene SCENE.ply --cameras FILE] [--width 640] [--repeats 9]
+    python benchmarks/splat.py [--widths 480 640 960] [--repeats 9]
 
-Runs are interleaved, so that whatever else the machine does falls on both; the median is printed.
-Before anything is timed, both must give the same pixels and the same sums.
+On every real scene (or the made room) and size, in one process and with interleaved runs: ours;
+the plain JAX variant (16 x 16 tiles, one at a time, `plain.py`); a vectorised NumPy loop over
+tiles; and a C loop over the same pairs of pixel and Gaussian (`limit.c`, where a compiler is
+there), which is the limit. Before anything is timed, all must give the same pixels. Writes
+`docs/performance.json`.
 """
 
 import dataclasses
-import time
-from collections.abc import Callable
-from pathlib import Path
+import os
 
+import common
 import jax
+import limit
 import numpy as np
 import plain
 import tyro
 
-import gsc_jax
-from gsc_jax.benchmark.scenes import make_room, room_cameras
 from gsc_jax.projection import project
+from gsc_jax.scene import Camera, Gaussians
 from gsc_jax.sh import colors
-from gsc_jax.splat import accumulate, composite
-from gsc_jax.tiles import bin_view
+from gsc_jax.splat import MAX_ALPHA, MIN_TRANSMITTANCE, accumulate, composite
+from gsc_jax.stages import peak_memory_mib
+from gsc_jax.tiles import TILE, View, bin_view, make_view
 
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "scenes"
+STAGES = ("project", "bin", "composite", "accumulate", "whole view")
 
 
 @dataclasses.dataclass(frozen=True)
 class Options:
-    """Compare the stages of a view with the plain variant.
+    """How much to measure.
 
     Attributes:
-        scene: A .ply; by default a real scene beside the repository, else a room that is made.
-        cameras: Its cameras.
-        view: Which of them.
-        width: Image width in pixels.
-        height: Image height in pixels.
-        repeats: Runs of each stage.
+        widths: Image widths in pixels; the height is three quarters of it.
+        view: Which camera of each scene.
+        repeats: Timed runs of each stage.
     """
 
-    scene: Path | None = None
-    cameras: Path | None = None
-    view: int = 0
-    width: int = 640
-    height: int = 480
+    widths: tuple[int, ...] = (480, 640, 960)
+    view: int = 1
     repeats: int = 9
 
 
 def main(options: Options) -> None:
-    """Print the table."""
-    gaussians, camera, name = load(options)
-    rng = np.random.default_rng(0)
-    maps = jax.device_put(rng.random((camera.height, camera.width, 2), np.float32))
-    rgb = colors(gaussians.sh, gaussians.means, camera.center)
-    ours, theirs = project(gaussians, camera), plain.project(gaussians, camera)
-    view, plain_view = bin_view(ours, camera), plain.bin_splats(theirs, camera)
-    require_same(composite(view, rgb), plain.composite(plain_view, rgb), "pixels")
-    require_same(accumulate(view, maps), plain.accumulate(plain_view, maps), "sums")
-
-    def whole():
-        return accumulate(bin_view(project(gaussians, camera), camera), maps)
-
-    def plain_whole():
-        projected = plain.project(gaussians, camera)
-        return plain.accumulate(plain.bin_splats(projected, camera), maps)
-
-    stages: dict[str, tuple[Callable, Callable]] = {
-        "project": (lambda: project(gaussians, camera), lambda: plain.project(gaussians, camera)),
-        "bin": (lambda: bin_view(ours, camera), lambda: plain.bin_splats(theirs, camera)),
-        "composite": (lambda: composite(view, rgb), lambda: plain.composite(plain_view, rgb)),
-        "accumulate": (lambda: accumulate(view, maps), lambda: plain.accumulate(plain_view, maps)),
-        "whole view": (whole, plain_whole),
-    }
-    listed = int(view.counts.sum()) * 64, int(plain_view.counts.sum()) * plain.TILE**2
-    print(f"{name}: {len(gaussians):,} Gaussians, {camera.width}x{camera.height}")
-    print(f"listed pairs of pixel and Gaussian: {listed[0]:,} ours, {listed[1]:,} plain")
-    print(f"{'stage':12}{'ours':>10}{'plain':>10}{'ratio':>8}")
-    for stage, (mine, other) in stages.items():
-        a, b = medians([mine, other], options.repeats)
-        print(f"{stage:12}{1e3 * a:>7.1f} ms{1e3 * b:>7.1f} ms{b / a:>7.1f}x")
+    """Measure everything and print a table per scene and size."""
+    blend, rows = limit.compiled(), []
+    for name, gaussians, cameras in common.scenes():
+        for width in options.widths:
+            camera = common.of_size(cameras[options.view], width, width * 3 // 4)
+            rows.append({"scene": name, **measure(gaussians, camera, blend, options.repeats)})
+            print(described(rows[-1]), flush=True)
+    common.save("splat", rows)
 
 
-def load(options: Options):
-    """Scene, camera and what it is called."""
-    scene, cameras = options.scene, options.cameras
-    if scene is None and DATA.is_dir():
-        scene, cameras = DATA / "kitchen.ply", DATA / "kitchen.cameras.json"
-    if scene is None or cameras is None:
-        gaussians, views, name = make_room(), room_cameras(8), "made room"
-    else:
-        gaussians, views = gsc_jax.load_ply(scene), gsc_jax.load_cameras(cameras)
-        name = scene.name
-    camera = views[options.view]
-    zoom = np.array([options.width / camera.width, options.height / camera.height, 1], np.float32)
-    camera = dataclasses.replace(
-        camera, K=np.asarray(camera.K) * zoom[:, None], width=options.width, height=options.height
+def measure(gaussians: Gaussians, camera: Camera, blend, repeats: int) -> dict:
+    """All times of one view, in seconds, and its pairs."""
+    rgba = np.pad(colors(gaussians.sh, gaussians.means, camera.center), ((0, 0), (0, 1)))
+    rgba = jax.device_put(rgba)
+    maps = jax.device_put(
+        np.random.default_rng(0).random((camera.height, camera.width, 2), np.float32)
     )
-    return jax.device_put(gaussians), camera, name
+    compile_time = common.seconds(lambda: accumulate(make_view(gaussians, camera), maps))
+    splats, plain_splats = project(gaussians, camera), plain.project(gaussians, camera)
+    view, plain_view = bin_view(splats, camera), plain.bin_splats(plain_splats, camera)
+    image = composite(view, rgba)
+    require_same(image, plain.composite(plain_view, rgba), "plain")
+    require_same(image, numpy_composite(view, np.asarray(rgba)), "NumPy")
+    runs = {
+        "project": lambda: project(gaussians, camera),
+        "bin": lambda: bin_view(splats, camera),
+        "composite": lambda: composite(view, rgba),
+        "accumulate": lambda: accumulate(view, maps),
+        "whole view": lambda: accumulate(make_view(gaussians, camera), maps),
+        "plain project": lambda: plain.project(gaussians, camera),
+        "plain bin": lambda: plain.bin_splats(plain_splats, camera),
+        "plain composite": lambda: plain.composite(plain_view, rgba),
+        "plain accumulate": lambda: plain.accumulate(plain_view, maps),
+        "plain whole view": lambda: plain.accumulate(
+            plain.bin_splats(plain.project(gaussians, camera), camera), maps
+        ),
+    }
+    found = {"gaussians": len(gaussians), "width": camera.width, "height": camera.height}
+    if blend is not None:
+        counted = blend(view, rgba, counting=True)
+        require_same(image, counted.image, "C")
+        found |= {"evaluated": counted.evaluated, "needed": counted.needed}
+        runs["C composite, 1 core"] = lambda: blend(view, rgba)
+        runs["C composite, all cores"] = lambda: blend(view, rgba, threads=os.cpu_count() or 1)
+    numpy_time = common.seconds(lambda: numpy_composite(view, np.asarray(rgba)))
+    return {
+        **found,
+        "listed": int(np.sum(view.counts)) * TILE**2,
+        "plain listed": int(np.sum(plain_view.counts)) * plain.TILE**2,
+        "first view with compilation": compile_time,
+        "NumPy composite": numpy_time,
+        **common.medians(runs, repeats),
+        "peak_mib": peak_memory_mib(),
+    }
+
+
+def numpy_composite(view: View, features: np.ndarray) -> np.ndarray:
+    """W c with one vectorised NumPy expression per tile."""
+    rows, columns = view.grid
+    splats, ids = np.asarray(view.splats), np.asarray(view.ids)
+    image = np.zeros((rows * TILE, columns * TILE, features.shape[1]), np.float32)
+    lists = (np.asarray(x) for x in (view.tiles, view.starts, view.counts))
+    for tile, start, count in zip(*lists, strict=True):
+        if not count:
+            continue
+        listed = ids[start : start + count]
+        top, left = TILE * (tile // columns), TILE * (tile % columns)
+        x, y, a, b, c, log_opacity = splats[listed].T[..., None]
+        dy, dx = np.divmod(np.arange(TILE * TILE, dtype=np.float32), TILE)
+        dx, dy = dx[None] + (left + 0.5) - x, dy[None] + (top + 0.5) - y
+        alpha = np.minimum(MAX_ALPHA, np.exp(log_opacity - (a * dx + b * dy) ** 2 - (c * dy) ** 2))
+        alpha[alpha < 1 / 255] = 0
+        behind = np.cumprod(1 - alpha, axis=0)
+        weights = np.where(behind >= MIN_TRANSMITTANCE, behind * alpha / (1 - alpha), 0)
+        blended = weights.T @ features[listed]
+        image[top : top + TILE, left : left + TILE] = blended.reshape(TILE, TILE, -1)
+    return image[: view.height, : view.width]
 
 
 def require_same(ours, theirs, what: str) -> None:
     """Stop unless both variants compute the same; rounding may flip a cut-off here and there."""
     difference = np.abs(np.asarray(ours) - np.asarray(theirs))
-    off = np.mean(difference > 1e-3 * max(1.0, float(np.abs(theirs).max())))
-    if off > 1e-3 or difference.mean() > 1e-4:
-        raise SystemExit(f"{what} differ: {difference.max():.1e} at most, {off:.1%} of them")
+    off = np.mean(difference > 1e-3)
+    if off > 1e-3 or difference.mean() > 1e-5:
+        raise SystemExit(f"{what} differs: {difference.max():.1e} at most, {off:.2%} of the values")
 
 
-def medians(functions: list[Callable], repeats: int) -> list[float]:
-    """Median seconds of each, run in turns."""
-    times = []
-    for _ in range(repeats + 1):
-        times.append([seconds(function) for function in functions])
-    return np.median(times[1:], axis=0).tolist()
-
-
-def seconds(function: Callable) -> float:
-    """Wall time until the result is there."""
-    start = time.perf_counter()
-    jax.block_until_ready(function())
-    return time.perf_counter() - start
+def described(row: dict) -> str:
+    """The numbers of one view, for people."""
+    lines = [
+        f"\n{row['scene']}: {row['gaussians']:,} Gaussians, {row['width']}x{row['height']}",
+        f"pairs of pixel and Gaussian: {row['listed']:,} listed ({row['plain listed']:,} plain)",
+        f"{'':12}{'ours':>10}{'plain':>10}{'ratio':>8}",
+    ]
+    for stage in STAGES:
+        a, b = row[stage], row[f"plain {stage}"]
+        lines.append(f"{stage:12}{1e3 * a:>7.1f} ms{1e3 * b:>7.1f} ms{b / a:>7.1f}x")
+    lines.append(f"NumPy composite {1e3 * row['NumPy composite']:.0f} ms")
+    if "needed" in row:
+        lines[1] += f", {row['evaluated']:,} until a tile stops, {row['needed']:,} contribute"
+        for key in ("C composite, 1 core", "C composite, all cores"):
+            ratio = row["composite"] / row[key]
+            lines.append(f"{key} {1e3 * row[key]:.1f} ms; ours takes {ratio:.1f} times as long")
+    lines.append(f"first view with compilation {row['first view with compilation']:.1f} s")
+    return "\n".join(lines)
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Options))
+    main(tyro.cli(Options, description=__doc__))

@@ -30,13 +30,6 @@ def scenes() -> Iterator[tuple[str, Gaussians, list[Camera]]]:
         yield "made room", jax.tree.map(jnp.asarray, make_room()), room_cameras(24)
 
 
-def of_size(camera: Camera, width: int, height: int) -> Camera:
-    """The camera with an image of another size, whatever its aspect."""
-    zoom = np.array([width / camera.width, height / camera.height, 1], np.float32)
-    K = np.asarray(camera.K) * zoom[:, None]
-    return dataclasses.replace(camera, K=K, width=width, height=height)
-
-
 def of_count(gaussians: Gaussians, count: int, *, seed: int = 0) -> Gaussians:
     """The scene with another number of Gaussians that cover the same surfaces.
 

@@ -62,7 +62,7 @@ def main(options: Options) -> None:
 def many_views(count: int) -> tuple[Gaussians, list[Camera], dict[str, np.ndarray]]:
     """The first scene with `count` Gaussians, 100 cameras between its own, and masks."""
     _, gaussians, cameras = next(common.scenes())
-    cameras = [common.of_size(c, WIDTH, HEIGHT) for c in cameras]
+    cameras = [c.resized(WIDTH, HEIGHT) for c in cameras]
     views = []
     for index in range(VIEWS):
         camera = cameras[index % len(cameras)]
@@ -177,7 +177,7 @@ def scaling() -> dict:
 
 def of_width(camera: Camera, width: int) -> Camera:
     """The camera with a 4:3 image."""
-    return common.of_size(camera, width, width * 3 // 4)
+    return camera.resized(width, width * 3 // 4)
 
 
 def whole(gaussians: Gaussians, camera: Camera) -> float:

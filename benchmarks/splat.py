@@ -49,7 +49,7 @@ def main(options: Options) -> None:
     blend, rows = limit.compiled(), []
     for name, gaussians, cameras in common.scenes():
         for width in options.widths:
-            camera = common.of_size(cameras[options.view], width, width * 3 // 4)
+            camera = cameras[options.view].resized(width, width * 3 // 4)
             rows.append({"scene": name, **measure(gaussians, camera, blend, options.repeats)})
             print(described(rows[-1]), flush=True)
     common.save("splat", rows)

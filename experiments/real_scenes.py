@@ -73,19 +73,22 @@ def load(folder: Path) -> Scene:
 def variants() -> Iterator[tuple[str, MethodConfig]]:
     """Every method with each way to make masks, and with a smaller lambda2."""
     for name, config in METHODS.items():
-        for rule in ("share", "attribute", "per-view"):
+        for rule in ("attribute", "share", "per-view"):
             yield f"{name}, {rule} rule", dataclasses.replace(config, mask_rule=rule)
         loop = dataclasses.replace(config.loop, lambda2=LAMBDA2)
-        yield f"{name}, lambda2 = {LAMBDA2:g}, share rule", dataclasses.replace(config, loop=loop)
+        yield (
+            f"{name}, lambda2 = {LAMBDA2:g}, attribute rule",
+            dataclasses.replace(config, loop=loop),
+        )
 
 
 def predictions(scene: Scene) -> Iterator[tuple[str, int, str, list[np.ndarray]]]:
     """Masks of every method: (method, seed, kind of views, a mask per view)."""
-    said = [scene.observation.detections[c.name] > 0.5 for c in scene.cameras["looked at"]]
+    said = [scene.observation.masks[c.name] for c in scene.cameras["looked at"]]
     yield "detector masks", 0, "looked at", said
     inverse = np.asarray(scene.observation.votes.tampered > 0)
     for kind, cameras in scene.cameras.items():
-        masks = [view_mask(scene.gaussians, c, inverse, inverse) for c in cameras]
+        masks = [view_mask(scene.gaussians, c, inverse, inverse, rule="share") for c in cameras]
         yield "naive inverse projection", 0, kind, masks
     for name, config in variants():
         for seed in range(SEEDS if config.shuffle else 1):
@@ -93,9 +96,7 @@ def predictions(scene: Scene) -> Iterator[tuple[str, int, str, list[np.ndarray]]
             found = find(scene.gaussians, scene.cameras["looked at"], scene.observation, seeded)
             for kind, cameras in scene.cameras.items():
                 masks = [
-                    view_mask(
-                        scene.gaussians, c, found.attribute, found.labels, rule=config.mask_rule
-                    )
+                    view_mask(scene.gaussians, c, found.tamper, found.labels, rule=config.mask_rule)
                     for c in cameras
                 ]
                 yield name, seed, kind, masks

@@ -18,13 +18,12 @@ def write_csv(path: Path, rows: Sequence[dict[str, object]]) -> None:
 def write_section(path: Path, name: str, text: str) -> None:
     """Replace what stands between the marks `<!-- name -->` and `<!-- /name -->` of a page.
 
-    Raises:
-        ValueError: if the page lacks the marks.
+    A page or section that is not there is begun.
     """
-    page = path.read_text()
     begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
+    page = path.read_text() if path.exists() else ""
     if begin not in page or end not in page:
-        raise ValueError(f"{path}: expected a section between {begin} and {end}")
+        page = f"{page}\n{begin}\n{end}\n"
     before, _, rest = page.partition(begin)
     after = rest.partition(end)[2]
     with atomic(path) as temporary:

@@ -5,6 +5,7 @@ whole scene, once; dividing by a view's own maximum, as the released code does, 
 views without the object. The released rule is kept as `per-view` so that it can be compared.
 """
 
+import dataclasses
 from typing import Literal
 
 import jax
@@ -38,10 +39,10 @@ def normalise(attribute: Array) -> jax.Array:
 def view_mask(
     gaussians: Gaussians,
     camera: Camera,
-    attribute: Array,
+    tamper: Array,
     labels: Array,
     *,
-    rule: MaskRule = "share",
+    rule: MaskRule = "attribute",
     threshold: float = 0.1,
     near: float = NEAR,
 ) -> np.ndarray:
@@ -50,20 +51,20 @@ def view_mask(
     Args:
         gaussians: N Gaussians.
         camera: The view.
-        attribute: Raw r, shape (N,).
+        tamper: Scores in [0, 1], shape (N,).
         labels: Tampered Gaussians, boolean, shape (N,).
-        rule: `share`: more than half of what a pixel shows is tampered Gaussians. `attribute`: the
-            rendered score, relative to alpha, exceeds the threshold. `per-view`, the released rule:
-            the tampered Gaussians rendered alone, divided by the maximum of the view.
-        threshold: Of the last two rules.
+        rule: `attribute`: the rendered score, relative to alpha, exceeds the threshold. `share`:
+            more than half of what a pixel shows is tampered Gaussians. `per-view`, the released
+            rule: the tampered Gaussians alone, divided by the maximum of the view.
+        threshold: Of the first and the last rule.
         near: Near plane in world units.
 
     Returns:
         Boolean, shape (H, W); false where the scene is transparent.
     """
     if rule == "per-view":
-        return _released_mask(gaussians, camera, attribute, labels, threshold, near)
-    feature, level = (labels, 0.5) if rule == "share" else (normalise(attribute), threshold)
+        return _released_mask(gaussians, camera, tamper, labels, threshold, near)
+    feature, level = (labels, 0.5) if rule == "share" else (tamper, threshold)
     return rendered_share(gaussians, camera, feature, near=near) > level
 
 
@@ -87,12 +88,9 @@ def rendered_share(
     return np.asarray(jnp.where(covered, image[..., 0] / jnp.where(covered, alpha, 1.0), 0.0))
 
 
-def _released_mask(gaussians, camera, attribute, labels, threshold, near) -> np.ndarray:
-    kept = np.flatnonzero(np.asarray(labels))
-    if not len(kept):
-        return np.zeros((camera.height, camera.width), bool)
-    survivors = jax.tree.map(jnp.asarray, gaussians.take(kept))
-    view = make_view(survivors, camera, near=near)
-    image = composite_with_alpha(view, jnp.asarray(attribute)[kept][:, None])[0][..., 0]
-    largest = jnp.max(image)
-    return np.asarray(image > threshold * largest) & bool(largest > 0)
+def _released_mask(gaussians, camera, tamper, labels, threshold, near) -> np.ndarray:
+    # Deleting the others would change N, and with it recompile everything for every result.
+    logits = jnp.where(jnp.asarray(labels), gaussians.logit_opacities, -jnp.inf)
+    view = make_view(dataclasses.replace(gaussians, logit_opacities=logits), camera, near=near)
+    image = composite_with_alpha(view, jnp.asarray(tamper)[:, None])[0][..., 0]
+    return np.asarray((image > threshold * jnp.max(image)) & (image > 0))

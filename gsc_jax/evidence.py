@@ -4,9 +4,6 @@ The 2D loss is linear in the attribute, so its gradient W^t (lambda2 (1 - M) - l
 of these two sums and never changes: with them, the whole optimisation needs no more rendering.
 """
 
-from collections.abc import Iterable
-
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -48,15 +45,3 @@ def view_evidence(view: View, mask: Array) -> Evidence:
     mask = jnp.asarray(mask, jnp.float32)
     total, tampered = accumulate(view, jnp.stack([jnp.ones_like(mask), mask], axis=-1)).T
     return Evidence(total=total, tampered=jnp.minimum(tampered, total))
-
-
-def empty_evidence(views: int, count: int) -> Evidence:
-    """Evidence of V views of N Gaussians to be filled in, in the memory of the host, all zeros."""
-    total, tampered = np.zeros((2, views, count), np.float32)
-    return Evidence(total=total, tampered=tampered)
-
-
-def stack_evidence(views: Iterable[Evidence]) -> Evidence:
-    """Stack the evidence of V views to shapes (V, N)."""
-    views = list(views)
-    return jax.tree.map(lambda *leaves: np.stack([np.asarray(x) for x in leaves]), *views)

@@ -14,11 +14,14 @@ from gsc_jax.detection import Detector, as_detector
 from gsc_jax.errors import InputError
 from gsc_jax.loop import resolved
 from gsc_jax.method import METHODS, Finding, Method, MethodConfig, find
-from gsc_jax.observe import observe
+from gsc_jax.observe import Observation, observe
 from gsc_jax.parallel import WORKERS, ahead
 from gsc_jax.scene import Camera, Gaussians
 from gsc_jax.stages import Progress, Stages, silent
 from gsc_jax.views import check_views
+
+DISAGREEMENT = 0.1
+"""A finding that covers less than this share of what was flagged is worth a warning."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -30,12 +33,14 @@ class Result:
         labels: Tampered Gaussians, shape (N,) bool.
         attribute: Raw attribute r, shape (N,) float32; unbounded.
         masks: Tampered pixels (H, W) bool of every view, by camera name.
-        detections: What the 2D detector said, (H, W) float32 in [0, 1], by camera name.
+        detections: What the 2D detector said, (H, W) float16 in [0, 1], by camera name.
         seen: Gaussians that contributed to some pixel, shape (N,) bool.
         group_sizes: Sizes of G_h, G_m and G_l in every iteration, shape (iterations, 3).
         method: Name of the method.
         config: Its resolved configuration.
-        stages: Seconds and peak memory in MiB, by stage.
+        stages: By stage its seconds, which overlap where views are worked on in threads, and the
+            peak memory of the process in MiB when it ended.
+        seconds: Wall time of the whole.
         warnings: What a user should know, in sentences.
     """
 
@@ -49,6 +54,7 @@ class Result:
     method: str
     config: MethodConfig
     stages: dict[str, dict[str, float]]
+    seconds: float
     warnings: list[str]
 
 
@@ -69,7 +75,7 @@ def locate(
         detector: A detector, a function image (H, W, 3) -> probability (any size), or
             probabilities by camera name.
         method: `paper` (the equations) or `official` (the schedule of the released code).
-        config: Replaces the configuration of the method, e.g. a changed `METHODS[method]`.
+        config: Replaces the method, e.g. a changed `METHODS["paper"]`.
         progress: Called with (stage, done, total).
 
     Returns:
@@ -103,10 +109,16 @@ def locate(
         detections=observation.detections,
         seen=observation.evidence.seen,
         group_sizes=finding.group_sizes,
-        method=method,
+        method=config.name,
         config=config,
         stages=stages.summary(),
-        warnings=[*warnings, *finding.warnings, *getattr(detector, "warnings", ())],
+        seconds=stages.elapsed(),
+        warnings=[
+            *warnings,
+            *finding.warnings,
+            *_disagreement(observation, masks),
+            *getattr(detector, "warnings", ()),
+        ],
     )
 
 
@@ -125,7 +137,7 @@ def _masks(
             return view_mask(
                 gaussians,
                 camera,
-                finding.attribute,
+                finding.tamper,
                 finding.labels,
                 rule=config.mask_rule,
                 threshold=config.threshold,
@@ -138,6 +150,18 @@ def _masks(
             masks[camera.name] = mask
             progress("masks", len(masks), len(cameras))
     return masks
+
+
+def _disagreement(observation: Observation, masks: dict[str, np.ndarray]) -> list[str]:
+    """A warning where next to nothing of what the detector flagged was confirmed."""
+    flagged = np.mean([mask.mean() for mask in observation.masks.values()])
+    found = np.mean([masks[name].mean() for name in observation.masks])
+    if not 0 < found < DISAGREEMENT * flagged:
+        return []
+    return [
+        f"The detector flags {flagged:.1%} of what the views show, of which {found:.2%} was "
+        "confirmed: its masks disagree. A smaller lambda2 asks for less agreement."
+    ]
 
 
 def _select(detector: Detector, cameras: Sequence[Camera], warnings: list[str]) -> list[Camera]:

@@ -103,11 +103,15 @@ def step(
 
     def loss(r):
         flat = view_loss(r)
-        contrast = loss_3d(r, attributes, groups, per_feature=config.per_feature)
+        compare = functools.partial(loss_3d, per_feature=config.per_feature)
+        nothing = lambda r, *_: 0.0 * r[0]  # noqa: E731
+        contrast = jax.lax.cond(gamma != 0, compare, nothing, r, attributes, groups)
         return config.beta * flat + gamma * contrast, (flat, contrast)
 
     gradient, losses = jax.grad(loss, has_aux=True)(state.r)
-    updates, optimizer = _adam(config.learning_rate).update(gradient, state.optimizer)
+    # Adam's bias correction raises a float to an integer power; strict callers need not care.
+    with jax.numpy_dtype_promotion("standard"):
+        updates, optimizer = _adam(config.learning_rate).update(gradient, state.optimizer)
     r = jnp.asarray(optax.apply_updates(state.r, updates))
     sizes = jnp.stack([jnp.sum(g) for g in (groups.high, groups.middle, groups.low)])
     info = StepInfo(loss_2d=losses[0], loss_3d=losses[1], group_sizes=sizes)

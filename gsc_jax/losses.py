@@ -80,6 +80,9 @@ def partition(r: Array) -> Partition:
 def direction(attributes: Array, groups: Partition, *, per_feature: bool = False) -> jax.Array:
     """The update direction u_i (eq. 7 and 8): towards the group whose mean is nearer.
 
+    The difference of squares sim_l - sim_h, with sim = (F - mean)^2, is taken as
+    2 (F - (mean_h + mean_l) / 2) (mean_h - mean_l), which does not square large attributes.
+
     Args:
         attributes: What is compared, F, shape (N, A).
         groups: The partition of the N Gaussians.
@@ -88,12 +91,12 @@ def direction(attributes: Array, groups: Partition, *, per_feature: bool = False
     Returns:
         u in [-1, 1], shape (N,); 0 outside the middle group, or where a group is empty.
     """
-    sim_h = (attributes - _masked_mean(attributes, groups.high)[None]) ** 2
-    sim_l = (attributes - _masked_mean(attributes, groups.low)[None]) ** 2
+    mean_h, mean_l = (_masked_mean(attributes, group) for group in (groups.high, groups.low))
+    nearer_h = 2.0 * (attributes - 0.5 * (mean_h + mean_l)[None]) * (mean_h - mean_l)[None]
     if per_feature:
-        u = jnp.mean(jnp.sign(sim_l - sim_h), axis=-1)
+        u = jnp.mean(jnp.sign(nearer_h), axis=-1)
     else:
-        u = jnp.sign(jnp.sum(sim_l, axis=-1) - jnp.sum(sim_h, axis=-1))
+        u = jnp.sign(jnp.sum(nearer_h, axis=-1))
     comparable = jnp.any(groups.high) & jnp.any(groups.low)
     return jnp.where(groups.middle & comparable, u, 0.0)
 
@@ -119,7 +122,7 @@ def loss_3d(
 def _masked_mean(values: Array, mask: Array) -> jax.Array:
     """Mean of the masked rows, shape (A,); 0 when there is none."""
     weights = jnp.asarray(mask, values.dtype)
-    return weights @ jnp.asarray(values) / jnp.maximum(jnp.sum(weights), 1.0)
+    return jnp.matmul(weights, values, precision="highest") / jnp.maximum(jnp.sum(weights), 1.0)
 
 
 def paper_attributes(gaussians: Gaussians) -> jax.Array:

@@ -5,6 +5,7 @@ the 3D loss compares (eq. 7 and 8), the schedule of the optimisation (eq. 10 to 
 """
 
 import dataclasses
+import typing
 from collections.abc import Mapping, Sequence
 from typing import Literal
 
@@ -12,7 +13,7 @@ import numpy as np
 
 from gsc_jax.decide import MaskRule, normalise
 from gsc_jax.evidence import Evidence
-from gsc_jax.loop import LoopConfig, fit, fit_rendered, view_order
+from gsc_jax.loop import LoopConfig, fit, fit_rendered, resolved, view_order
 from gsc_jax.losses import official_attributes, paper_attributes, standardised_attributes
 from gsc_jax.observe import Observation
 from gsc_jax.projection import NEAR
@@ -35,6 +36,7 @@ class MethodConfig:
     """All that a method leaves to choose.
 
     Attributes:
+        name: What the method is called in results.
         consensus: How votes become the initial attribute.
         attributes: What the 3D loss compares.
         epochs: How often the optimisation looks at each view.
@@ -47,21 +49,40 @@ class MethodConfig:
         seed: Of the order of the views.
     """
 
+    name: str = "paper"
     consensus: Literal["paper", "official"] = "paper"
     attributes: Literal["paper", "official", "standardised"] = "paper"
     epochs: int = 5
     shuffle: bool = True
     loop: LoopConfig = dataclasses.field(default_factory=LoopConfig)
     threshold: float = 0.1
-    mask_rule: MaskRule = "share"
+    mask_rule: MaskRule = "attribute"
     path: Literal["evidence", "rendered"] = "evidence"
     near: float = NEAR
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Refuse what no method understands."""
+        for option, known in (
+            ("consensus", tuple(CONSENSUS)),
+            ("attributes", tuple(ATTRIBUTES)),
+            ("mask_rule", typing.get_args(MaskRule)),
+            ("path", ("evidence", "rendered")),
+        ):
+            if getattr(self, option) not in known:
+                found = getattr(self, option)
+                raise ValueError(f"{option} must be one of {', '.join(known)}, got {found!r}")
+        if not (self.epochs >= 1 and 0 <= self.threshold < 1 and self.near > 0):
+            raise ValueError(
+                "expected epochs >= 1, 0 <= threshold < 1 and near > 0, got "
+                f"{self.epochs}, {self.threshold} and {self.near}"
+            )
 
 
 METHODS: Mapping[str, MethodConfig] = {
     "paper": MethodConfig(),
     "official": MethodConfig(
+        name="official",
         consensus="official",
         attributes="official",
         epochs=1,
@@ -108,10 +129,14 @@ def find(
     """
     attribute, group_sizes = _optimise(gaussians, cameras, observation, config)
     tamper, labels, warnings = _decide(attribute, observation.evidence, config.threshold)
-    if group_sizes.size and not group_sizes.all(axis=1).any():
-        empty = [f"G_{g}" for g, n in zip("hml", group_sizes.max(axis=0), strict=True) if not n]
-        which = " and ".join(empty) or "in every iteration some group"
-        warnings.append(f"The 3D contrastive loss compared nothing: {which} was empty.")
+    contrasted = group_sizes[resolved(config.loop, len(group_sizes)).contrastive_start :]
+    if len(contrasted) and not contrasted.all(axis=1).any():
+        empty = [f"G_{g}" for g, n in zip("hml", contrasted.max(axis=0), strict=True) if not n]
+        which = ", ".join(empty) or "always one of them"
+        warnings.append(
+            f"The 3D contrastive loss had no groups to compare ({which} empty); the result rests "
+            "on the masks alone."
+        )
     return Finding(
         attribute=attribute,
         tamper=tamper,
@@ -125,7 +150,10 @@ def _optimise(
     gaussians: Gaussians, cameras: Sequence[Camera], observation: Observation, config: MethodConfig
 ) -> tuple[np.ndarray, np.ndarray]:
     """Raw attribute (N,) and the group sizes of all the iterations."""
-    initial = CONSENSUS[config.consensus](observation.votes)
+    # The vote knows no occlusion; a Gaussian that no view sees has no evidence to be moved by, and
+    # would keep its votes and set the scale for all others.
+    seen = observation.evidence.seen
+    initial = np.where(seen, CONSENSUS[config.consensus](observation.votes), np.float32(0))
     attributes = ATTRIBUTES[config.attributes](gaussians)
     order = view_order(len(cameras), epochs=config.epochs, shuffle=config.shuffle, seed=config.seed)
     if config.path == "evidence":
@@ -134,8 +162,7 @@ def _optimise(
 
         def look(index: int) -> tuple[View, np.ndarray]:
             camera = cameras[index]
-            mask = observation.detections[camera.name] > 0.5
-            return make_view(gaussians, camera, near=config.near), mask
+            return make_view(gaussians, camera, near=config.near), observation.masks[camera.name]
 
         r, infos = fit_rendered(look, initial, attributes, order, config=config.loop)
     return np.asarray(r), np.asarray(infos.group_sizes)
@@ -152,7 +179,7 @@ def _decide(
     if np.array_equal(evidence.tampered, evidence.total):
         said = "Every view says that everything is tampered."
         return seen.astype(np.float32), seen, [said]
-    tamper = np.where(seen, np.asarray(normalise(attribute)), 0.0).astype(np.float32)
+    tamper = np.asarray(normalise(np.where(seen, attribute, 0.0)), np.float32)
     labels = tamper > threshold
     if labels.any():
         return tamper, labels, []

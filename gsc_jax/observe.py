@@ -5,8 +5,6 @@ that stands for eq. 9 and 10). Its result can be optimised under any number of c
 """
 
 import dataclasses
-import functools
-import operator
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
@@ -14,22 +12,30 @@ import jax
 import numpy as np
 
 from gsc_jax.detection import Detector, fit_to_view
-from gsc_jax.evidence import Evidence, empty_evidence, view_evidence
+from gsc_jax.evidence import Evidence, view_evidence
 from gsc_jax.parallel import WORKERS, ahead
 from gsc_jax.projection import NEAR, project, project_centers
 from gsc_jax.scene import Camera, Gaussians
 from gsc_jax.splat import shade
 from gsc_jax.stages import Progress, Stages, silent
 from gsc_jax.tiles import View, bin_view
-from gsc_jax.vote import Tally, cast_votes, tally
+from gsc_jax.vote import Tally, cast_votes, no_votes, tally
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Observation:
-    """What all views say: the evidence of V views, their votes, and what the detector said."""
+    """What all views say.
+
+    Attributes:
+        evidence: Of V views, shapes (V, N).
+        votes: The tally of the votes on N Gaussians.
+        masks: What the detector flagged, (H, W) bool, by camera name.
+        detections: The probabilities behind it, (H, W) float16, for people to look at.
+    """
 
     evidence: Evidence
     votes: Tally
+    masks: dict[str, np.ndarray]
     detections: dict[str, np.ndarray]
 
 
@@ -53,11 +59,11 @@ def observe(
         progress: Called with (stage, done, total).
 
     Returns:
-        Evidence (V, N), the tally of the votes, and the detections by camera name.
+        The observation, its views in the order of the cameras.
     """
     stages = stages or Stages()
-    evidence = empty_evidence(len(cameras), len(gaussians))
-    votes, detections = [], {}
+    total, tampered = np.zeros((2, len(cameras), len(gaussians)), np.float32)
+    masks, detections = {}, {}
 
     def prepare(camera: Camera) -> tuple[View, np.ndarray | None]:
         with stages("project"):
@@ -69,30 +75,32 @@ def observe(
         with stages("render"):
             return view, np.asarray(shade(view, gaussians, camera)[0])
 
-    def judged() -> Iterator[tuple[int, View, np.ndarray]]:
+    def judged() -> Iterator[tuple[int, View]]:
         # Detectors run here, in the calling thread: nobody promised that they share.
         prepared = ahead(pool, prepare, cameras)
         for index, (camera, (view, image)) in enumerate(zip(cameras, prepared, strict=True)):
             with stages("detect"):
                 probability = fit_to_view(detector(image, camera), camera)
-            detections[camera.name] = probability
-            yield index, view, probability > 0.5
+            masks[camera.name] = probability > 0.5
+            detections[camera.name] = probability.astype(np.float16)
+            yield index, view
 
-    def lift(job: tuple[int, View, np.ndarray]) -> Tally:
-        index, view, mask = job
+    def lift(job: tuple[int, View]) -> Tally:
+        index, view = job
+        camera, mask = cameras[index], masks[cameras[index].name]
         with stages("lift"):
             one = view_evidence(view, mask)
-            evidence.total[index], evidence.tampered[index] = one.total, one.tampered
+            total[index], tampered[index] = one.total, one.tampered
         with stages("vote"):
-            return _votes(gaussians, cameras[index], mask)
+            return _votes(gaussians, camera, mask)
 
+    votes = no_votes(len(gaussians))
     with ThreadPoolExecutor(WORKERS) as pool:
         for done, counts in enumerate(ahead(pool, lift, judged()), start=1):
-            votes.append(counts)
+            votes = votes + counts
             progress("look", done, len(cameras))
-    return Observation(
-        evidence=evidence, votes=functools.reduce(operator.add, votes), detections=detections
-    )
+    evidence = Evidence(total=total, tampered=tampered)
+    return Observation(evidence=evidence, votes=votes, masks=masks, detections=detections)
 
 
 def _votes(gaussians: Gaussians, camera: Camera, mask: np.ndarray) -> Tally:

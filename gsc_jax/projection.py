@@ -57,7 +57,12 @@ def project(gaussians: Gaussians, camera: Camera, *, near: float = NEAR) -> Spla
 
     Returns:
         The N splats.
+
+    Raises:
+        ValueError: if the near plane is not in front of the camera.
     """
+    if not near > 0:
+        raise ValueError(f"near must be positive, got {near}")
     shape = (gaussians.means, gaussians.log_scales, gaussians.quats, gaussians.logit_opacities)
     return _project(*shape, camera.viewmat, camera.K, near, camera.width, camera.height)
 
@@ -71,7 +76,7 @@ def _project(means, log_scales, quats, logits, viewmat, K, near, width: int, hei
 
 
 def _project_one(mean, log_scale, quat, logit, viewmat, K, near, width, height) -> Splats:
-    """One Gaussian. Written in scalars, which vmap turns into long vectors: five times faster."""
+    """One Gaussian, in scalars: vmap turns them into long vectors, which small matrices are not."""
     x, y, depth = (_dot(viewmat[i, :3], mean) + viewmat[i, 3] for i in range(3))
     in_front = depth > near
     z = jnp.where(in_front, depth, 1.0)
@@ -166,7 +171,8 @@ def project_centers(means: Array, viewmat: Array, K: Array) -> tuple[jax.Array, 
         Pixel coordinates (N, 2), meaningless where the depth is not positive, and depths (N,).
     """
     means, viewmat, K = jnp.asarray(means), jnp.asarray(viewmat), jnp.asarray(K)
-    points = means @ viewmat[:3, :3].T + viewmat[None, :3, 3]
+    rotated = jnp.matmul(means, viewmat[:3, :3].T, precision="highest")
+    points = rotated + viewmat[None, :3, 3]
     depths = points[:, 2]
     rays = points[:, :2] / jnp.where(depths > 0, depths, 1.0)[:, None]
     return rays * jnp.diag(K)[None, :2] + K[None, :2, 2], depths

@@ -19,6 +19,8 @@ Array = jax.Array | np.ndarray
 
 MAX_LOG_SCALE = 40.0
 """Log scales above this overflow float32 once squared and projected."""
+MAX_MAGNITUDE = 1e9
+"""Positions and colours beyond this are damage, and their squares would overflow float32."""
 
 
 @pytree
@@ -110,8 +112,11 @@ class Camera:
 
     def scaled(self, factor: float) -> "Camera":
         """The same camera with an image `factor` times as wide and high, at least one pixel."""
-        width = max(1, round(self.width * factor))
-        height = max(1, round(self.height * factor))
+        return self.resized(round(self.width * factor), round(self.height * factor))
+
+    def resized(self, width: int, height: int) -> "Camera":
+        """The same camera with an image of this size, whatever its aspect, at least one pixel."""
+        width, height = max(1, width), max(1, height)
         zoom = np.array([width / self.width, height / self.height, 1.0], np.float32)
         return dataclasses.replace(
             self, K=np.asarray(self.K) * zoom[:, None], width=width, height=height
@@ -125,8 +130,8 @@ def invalid_rows(gaussians: Gaussians) -> dict[str, np.ndarray]:
         gaussians: N Gaussians as stored.
 
     Returns:
-        Boolean arrays of shape (N,) by reason; a row may have several. Opacities of plus infinity
-        are legal (fully opaque), minus infinity is merely invisible, and a zero quaternion is not.
+        Boolean arrays of shape (N,) by reason; a row may have several. An opacity of plus infinity
+        is legal (fully opaque), and one of minus infinity is merely invisible.
     """
     host = jax.tree.map(np.asarray, gaussians)
     finite_sh = np.isfinite(host.sh).all(axis=(1, 2))
@@ -139,4 +144,6 @@ def invalid_rows(gaussians: Gaussians) -> dict[str, np.ndarray]:
         "rotation zero": quats & ~host.quats.any(axis=1),
         "opacity not a number": np.isnan(host.logit_opacities),
         "colour not finite": ~finite_sh,
+        "position or colour out of all bounds": (np.abs(host.means) > MAX_MAGNITUDE).any(axis=1)
+        | (np.abs(host.sh) > MAX_MAGNITUDE).any(axis=(1, 2)),
     }

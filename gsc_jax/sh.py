@@ -68,5 +68,7 @@ def colors(sh: jax.Array, means: jax.Array, center: jax.Array) -> jax.Array:
     towards = means - center[None]
     distance = jnp.linalg.norm(towards, axis=-1, keepdims=True)
     directions = towards / jnp.where(distance > 0, distance, 1.0)
-    rgb = jnp.maximum(0.5 + jnp.einsum("nk,nkc->nc", basis(directions, degree), sh), 0.0)
+    rgb = jnp.maximum(
+        0.5 + jnp.einsum("nk,nkc->nc", basis(directions, degree), sh, precision="highest"), 0.0
+    )
     return jnp.where(jnp.isfinite(rgb), rgb, 0.0)

@@ -25,6 +25,7 @@ class Stages:
         self.seconds: dict[str, float] = {}
         self.peak_mib: dict[str, float] = {}
         self._lock = threading.Lock()
+        self._begin = time.perf_counter()
 
     @contextlib.contextmanager
     def __call__(self, name: str) -> Iterator[None]:
@@ -37,6 +38,10 @@ class Stages:
             with self._lock:
                 self.seconds[name] = self.seconds.get(name, 0.0) + elapsed
                 self.peak_mib[name] = peak_memory_mib()
+
+    def elapsed(self) -> float:
+        """Wall time since the beginning, in seconds."""
+        return time.perf_counter() - self._begin
 
     def summary(self) -> dict[str, dict[str, float]]:
         """Seconds and peak MiB by stage, in the order of their first block."""

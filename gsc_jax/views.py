@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from gsc_jax.errors import InputError
+from gsc_jax.projection import NEAR
 from gsc_jax.scene import Array, Camera, Gaussians
 
 ELEVATIONS = np.radians([10.0, 25.0, 40.0])
@@ -87,7 +88,7 @@ def orbit_cameras(
     up = up / np.linalg.norm(up)
     return [
         Camera(
-            viewmat=_look_at(center + distance * direction, center, up),
+            viewmat=look_at(center + distance * direction, center, up),
             K=K,
             width=width,
             height=height,
@@ -97,7 +98,9 @@ def orbit_cameras(
     ]
 
 
-def check_views(gaussians: Gaussians, cameras: Sequence[Camera], *, near: float = 0.2) -> list[str]:
+def check_views(
+    gaussians: Gaussians, cameras: Sequence[Camera], *, near: float = NEAR
+) -> list[str]:
     """Tells whether cameras see a scene, from the share of Gaussians inside any frustum.
 
     Large scenes are sampled evenly, so this takes well under a second.
@@ -117,6 +120,8 @@ def check_views(gaussians: Gaussians, cameras: Sequence[Camera], *, near: float 
     """
     if not cameras:
         raise InputError("no cameras to look at the scene with; give at least one")
+    if not len(gaussians):
+        raise InputError("the scene has no Gaussians")
     points = _sample(_opaque_means(gaussians))
     viewmats = [np.asarray(camera.viewmat, np.float64) for camera in cameras]
     depths = _depths(points, viewmats, cameras)
@@ -127,7 +132,7 @@ def check_views(gaussians: Gaussians, cameras: Sequence[Camera], *, near: float 
         raise InputError(f"the cameras see {share_ahead:.2%} of the Gaussians{advice}")
     if share < MIN_SHARE:
         raise InputError(_near_message(depths, near))
-    warnings = []
+    warnings = _scale_warnings(gaussians, points)
     if seen.sum() < 0.5 * (depths > 0).sum():
         warnings.append(_near_message(depths, near))
     if share < LOW_SHARE:
@@ -171,7 +176,8 @@ def _directions(n: int, up: np.ndarray, seed: int) -> np.ndarray:
     return np.cos(elevations)[:, None] * flat + np.outer(np.sin(elevations), up)
 
 
-def _look_at(eye: np.ndarray, target: np.ndarray, up: np.ndarray) -> np.ndarray:
+def look_at(eye: np.ndarray, target: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """World to camera [4, 4] float32 of a level camera at `eye` that looks at `target`."""
     forward = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross(forward, up)
     right /= np.linalg.norm(right)
@@ -204,7 +210,22 @@ def _reading(points: np.ndarray, viewmats: Sequence[np.ndarray], cameras: Sequen
     best = max(shares, key=shares.__getitem__)
     if shares[best] <= max(LOW_SHARE, 3 * current):
         return ""
-    return f"; read {best}, a camera would typically see {shares[best]:.0%}: convert the poses"
+    return (
+        f"; perhaps the poses are to be read {best}: a camera would then typically see "
+        f"{shares[best]:.0%}"
+    )
+
+
+def _scale_warnings(gaussians: Gaussians, points: np.ndarray) -> list[str]:
+    """Scales that were stored as they are, not as logarithms, make every Gaussian huge."""
+    log_scales = np.asarray(gaussians.log_scales)
+    extent = np.ptp(np.percentile(points, [10, 90], axis=0), axis=0).max()
+    if np.mean(log_scales >= 0) < 0.99 or np.exp(np.median(log_scales)) < 0.05 * extent:
+        return []
+    return [
+        "the Gaussians are as large as the scene: its scales may not have been stored as "
+        "logarithms; take the logarithm of scale_0, scale_1 and scale_2"
+    ]
 
 
 def _typical_share(depths: np.ndarray) -> float:
@@ -217,6 +238,6 @@ def _near_message(depths: np.ndarray, near: float) -> str:
     cut = np.mean(ahead <= near)
     fitting = 0.5 * np.percentile(ahead, 1)
     return (
-        f"the near plane at {near:g} cuts away {cut:.0%} of what the cameras look at, because the "
-        f"scene is small: near={fitting:.1g} would fit, or scale scene and cameras up"
+        f"the near plane at {near:g} cuts away {cut:.0%} of what the cameras look at; the scene is "
+        f"small for it: near={fitting:.1g} (--near) would fit, or scale scene and cameras up"
     )

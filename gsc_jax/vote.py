@@ -65,6 +65,11 @@ def tally(votes: Array) -> Tally:
     )
 
 
+def no_votes(count: int) -> Tally:
+    """The tally of no view on N Gaussians."""
+    return tally(jnp.zeros((0, count), jnp.int32))
+
+
 def paper_consensus(counts: Tally) -> jax.Array:
     """Initial attribute of the paper: T_i where more views say tampered than authentic, else 0.
 

@@ -34,13 +34,6 @@ def nan_is_an_error() -> Iterator[None]:
 
 
 @pytest.fixture
-def optax_promotes() -> Iterator[None]:
-    """Adam's bias correction raises a float to an integer power, which strict promotion forbids."""
-    with jax.numpy_dtype_promotion("standard"):
-        yield
-
-
-@pytest.fixture
 def count_compilations() -> Callable[[], contextlib.AbstractContextManager[list[str]]]:
     """A context manager that yields the list of what XLA compiles inside it, filled at its end."""
 

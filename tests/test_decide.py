@@ -29,7 +29,7 @@ def test_no_positive_attribute_means_no_score(attribute):
 @pytest.mark.parametrize("rule", ["share", "attribute", "per-view"])
 def test_the_mask_shows_the_tampered_gaussian_and_not_the_other(rule):
     scene = blobs([LEFT, RIGHT], opacity=0.9)
-    mask = view_mask(scene, CAMERA, np.array([8.0, -3.0]), np.array([True, False]), rule=rule)
+    mask = view_mask(scene, CAMERA, np.array([1.0, 0.0]), np.array([True, False]), rule=rule)
     assert mask[8, :16].any(), "the tampered Gaussian is invisible"
     assert not mask[8, 20:].any(), "the authentic Gaussian is marked"
 
@@ -44,7 +44,7 @@ def test_the_released_rule_looks_through_what_hides_the_object_and_ours_does_not
 
 def test_the_released_rule_lifts_noise_to_one_where_the_object_is_not_in_view_and_ours_does_not():
     scene = blobs([RIGHT, LEFT], opacity=0.9)
-    labels, attribute = np.array([True, True]), np.array([100.0, 0.5])
+    labels, attribute = np.array([True, True]), np.array([1.0, 0.005])
     right_is_outside = camera(16, 17, focal=20.0)
     K = np.array(right_is_outside.K)
     K[0, 2] = 16.5

@@ -5,7 +5,6 @@ import re
 from typing import get_args
 
 import imageio.v3 as iio
-import jax
 import numpy as np
 import pytest
 
@@ -25,16 +24,15 @@ CONTESTANTS = ("inverse projection", *get_args(Method))
 def told(tmp_path_factory):
     out = tmp_path_factory.mktemp("demo")
     stages = []
-    with jax.numpy_dtype_promotion("standard"):
-        lines = demo.run_demo(
-            Demo(out=out, seed=1),
-            count=COUNT,
-            views=VIEWS,
-            heldout=HELDOUT,
-            width=96,
-            height=72,
-            progress=lambda *told: stages.append(told[0]),
-        )
+    lines = demo.run_demo(
+        Demo(out=out, seed=1),
+        count=COUNT,
+        views=VIEWS,
+        heldout=HELDOUT,
+        width=96,
+        height=72,
+        progress=lambda *told: stages.append(told[0]),
+    )
     return out, lines, set(stages)
 
 

@@ -10,13 +10,11 @@ from data import TAMPERED, load_tampered, needs_data
 from strategies import camera, random_scene
 
 from gsc_jax.detectors.folder import FolderDetector
-from gsc_jax.evidence import Evidence, stack_evidence, view_evidence
+from gsc_jax.evidence import Evidence, view_evidence
 from gsc_jax.locate import locate
 from gsc_jax.loop import LoopConfig, fit, fit_rendered, init, step, view_order
 from gsc_jax.method import ATTRIBUTES, METHODS
 from gsc_jax.tiles import make_view
-
-pytestmark = pytest.mark.usefixtures("optax_promotes")
 
 ATTRIBUTES_OF_SIX = np.array([[1.0], [1.0], [0.9], [0.1], [0.0], [0.0]], np.float32)
 R = np.array([9.0, 9.0, 0.5, 0.5, -9.0, -9.0], np.float32)
@@ -112,7 +110,8 @@ def test_both_paths_take_the_same_trajectory(method):
     attributes = ATTRIBUTES[config.attributes](scene)
     order = view_order(4, epochs=config.epochs, shuffle=config.shuffle)
     r = rng.integers(0, 4, 60).astype(np.float32)
-    evidence = stack_evidence(view_evidence(v, m) for v, m in zip(views, masks, strict=True))
+    of_views = [view_evidence(v, m) for v, m in zip(views, masks, strict=True)]
+    evidence = jax.tree.map(lambda *leaves: jnp.stack(leaves), *of_views)
     fast, fast_info = fit(evidence, r, attributes, order, config=config.loop)
     slow, slow_info = fit_rendered(
         lambda index: (views[index], masks[index]), r, attributes, order, config=config.loop

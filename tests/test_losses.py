@@ -85,6 +85,21 @@ def test_the_3d_loss_is_minus_the_mean_of_u_r_over_the_middle():
     np.testing.assert_allclose(gradient, [0, 0, -0.5, 0.5, 0, 0])
 
 
+@pytest.mark.parametrize("per_feature", [False, True])
+def test_the_direction_is_the_sign_of_the_difference_of_squares(per_feature):
+    rng = np.random.default_rng(0)
+    attributes = rng.normal(size=(60, 5)) * [1, 10, 0.1, 3, 1]
+    labels = rng.integers(0, 3, 60)
+    split = Partition(high=labels == 2, middle=labels == 1, low=labels == 0)
+    sim_h, sim_l = (
+        (attributes - attributes[group].mean(axis=0)) ** 2 for group in (split.high, split.low)
+    )
+    difference = sim_l - sim_h
+    expected = np.sign(difference).mean(axis=1) if per_feature else np.sign(difference.sum(axis=1))
+    u = direction(attributes.astype(np.float32), split, per_feature=per_feature)
+    np.testing.assert_allclose(u, np.where(split.middle, expected, 0), atol=1e-6)
+
+
 @pytest.mark.usefixtures("nan_is_an_error")
 @pytest.mark.parametrize("per_feature", [False, True])
 @pytest.mark.parametrize(

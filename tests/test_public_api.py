@@ -113,7 +113,7 @@ def test_results_are_float32_whatever_the_type_of_the_arguments(name):
         "features": np.ones((20, 2)),
         "feature": np.ones(20),
         "maps": np.ones((15, 17, 2)),
-        "attribute": np.ones(20),
+        "tamper": np.ones(20),
         "labels": np.ones(20, bool),
     }
     required = [p.name for p in parameters(RENDERERS[name])[2:] if p.default is p.empty]

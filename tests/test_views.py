@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import strategies
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -130,7 +131,7 @@ def test_another_convention_is_recognised(mend, reading):
     scene = blob()
     cameras = changed(orbit_cameras(scene, 8), mend)
     message = verdict(scene, cameras)
-    assert re.search(f"read {reading}, a camera would typically see", message), message
+    assert re.search(f"read {reading}: a camera would then typically see", message), message
     assert "\n" not in message
 
 
@@ -195,3 +196,15 @@ def test_real_cameras_see_real_scenes_and_so_do_orbits(name):
     assert check_views(scene, orbit_cameras(scene, 12)) == []
     flipped = changed(cameras, lambda viewmat: FLIP @ viewmat)
     assert "read with OpenGL axes" in verdict(scene, flipped)
+
+
+def test_scales_that_are_no_logarithms_are_told():
+    scene, cameras = strategies.random_scene(400), orbit_cameras(strategies.random_scene(400), 4)
+    assert not any("logarithm" in warning for warning in check_views(scene, cameras))
+    linear = dataclasses.replace(scene, log_scales=np.exp(scene.log_scales))
+    assert any("logarithm" in warning for warning in check_views(linear, cameras))
+
+
+def test_a_scene_without_gaussians_is_refused():
+    with pytest.raises(InputError, match="no Gaussians"):
+        check_views(strategies.random_scene(0), [strategies.camera()])

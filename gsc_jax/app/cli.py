@@ -15,6 +15,7 @@ from pathlib import Path
 
 import tyro
 
+from gsc_jax.app.cache import default_cache, use_cache
 from gsc_jax.app.demo import run_demo
 from gsc_jax.app.options import Demo, Locate, Render
 from gsc_jax.app.outputs import Located
@@ -46,7 +47,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"gsc-jax {importlib.metadata.version('gsc_jax')}")
         return 0
     try:
-        _run(_parse(argv))
+        command = _parse(argv)
+        if not command.no_cache:
+            use_cache(default_cache())
+        _run(command)
     except InputError as error:
         return _complain(str(error), 2)
     except BrokenPipeError:  # whoever read our stdout, such as `head`, has had enough
@@ -116,7 +120,7 @@ def summary(located: Located, out: Path) -> list[str]:
     return [
         verdict,
         f"method   {located.result.method}",
-        f"time     {sum(seconds.values()):.1f} s (slowest: {times})",
+        f"time     {located.seconds:.1f} s (most work: {times})",
         f"look at  {out / 'overview.png'}, {out / 'overlay'}",
         f"scene    {out / 'tamper.ply'}; for any viewer: {out / 'highlight.ply'}",
         f"numbers  {out / 'result.json'}, {out / 'labels.npy'}",

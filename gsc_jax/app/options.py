@@ -30,6 +30,7 @@ class Look:
     scale: Annotated[float, _arg(metavar="S")] = 1.0
     near: Annotated[float, _arg(metavar="DEPTH")] = NEAR
     seed: Annotated[int, _arg(metavar="K")] = 0
+    no_cache: bool = False
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -67,13 +68,19 @@ class Locate(Look):
         spec: The same as a TOML file with the fields of `OnnxSpec`, for other models.
         method: `official`: definitions and schedule of GS-Checker's released code. `paper`: the
             equations as printed, over several epochs.
-        mask_rule: What makes a pixel tampered: that tampered Gaussians have the larger share in
-            it, that the rendered attribute is high, or the released code's rule per view.
+        lambda2: Price of a Gaussian's weight outside the masks; at 10 it has to lie inside them by
+            91 %, at 1 by half. Smaller finds more where masks miss or disagree.
+        epochs: How often the optimisation looks at each view.
+        threshold: Score from which a Gaussian is tampered, relative to the highest.
+        mask_rule: What makes a pixel tampered: that the rendered score exceeds the threshold, that
+            tampered Gaussians have the larger share in it, or the released code's rule per view.
         views: Look from this many cameras only, evenly spread over those that can be used. Of an
             orbit, this many are made, by default 24.
-        scale: Size of the views relative to the cameras' images; 0.5 is four times as fast.
+        scale: Size of the views relative to the cameras' images; 0.5 has a quarter of the pixels.
         near: Near plane in world units: what is closer to a camera is not seen.
         seed: What chance follows: the order of the views, and where an orbit begins.
+        no_cache: Do not keep what XLA compiles in the cache folder of this user, where the next run
+            finds it.
     """
 
     masks: Annotated[Path | None, _arg(metavar="DIR", help_behavior_hint="")] = None
@@ -83,7 +90,12 @@ class Locate(Look):
     ] = None
     spec: Annotated[Path | None, _arg(metavar="FILE.toml", help_behavior_hint="")] = None
     method: Method = "official"
-    mask_rule: MaskRule = "share"
+    lambda2: Annotated[float, _arg(metavar="PRICE")] = 10.0
+    epochs: Annotated[
+        int | None, _arg(metavar="N", help_behavior_hint="(default: official 1, paper 5)")
+    ] = None
+    threshold: Annotated[float, _arg(metavar="SCORE")] = 0.1
+    mask_rule: MaskRule = "attribute"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -109,6 +121,8 @@ class Render(Look):
         scale: Size of the images relative to the cameras' own.
         near: Near plane in world units: what is closer to a camera is not seen.
         seed: Where an orbit begins.
+        no_cache: Do not keep what XLA compiles in the cache folder of this user, where the next run
+            finds it.
     """
 
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -119,7 +133,7 @@ class Demo:
     """Make a scene, tamper with it, find what was tampered, and compare with the truth.
 
     Nothing is downloaded: a furnished room with a vase pasted onto its table, and the masks of a
-    simulated detector that errs as the real ones do. About a minute.
+    simulated detector that errs as the real ones do.
 
     for example:
       gsc-jax demo --out demo
@@ -127,7 +141,10 @@ class Demo:
     Attributes:
         out: Folder for the scene, the masks and the results, made where missing.
         seed: What chance follows: the room, the cameras, the mistakes of the detector.
+        no_cache: Do not keep what XLA compiles in the cache folder of this user, where the next run
+            finds it.
     """
 
     out: Annotated[Path, _arg(metavar="DIR")]
     seed: Annotated[int, _arg(metavar="K")] = 0
+    no_cache: bool = False

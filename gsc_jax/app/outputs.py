@@ -17,6 +17,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+import jax
 import numpy as np
 
 from gsc_jax.app.pictures import contact_sheet, overlay
@@ -34,6 +35,8 @@ BY_CAMERA = ("masks", "detector", "overlay")
 
 PACKAGES = ("gsc_jax", "numpy", "jax", "jaxlib", "optax")
 MOST_OVERLAYS, MOST_ROWS = 8, 4
+OUTPUTS = ("tamper.ply", "highlight.ply", "masks", "detector", "overlay")
+"""What could be an input as well."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -44,12 +47,32 @@ class Located:
     cameras: list[Camera]
     result: Result
     stages: dict[str, dict[str, float]]
+    seconds: float
     warnings: list[str]
 
     @property
     def visible_share(self) -> float:
         """Mean share of a view that is tampered."""
         return float(np.mean([mask.mean() for mask in self.result.masks.values()]))
+
+
+def refuse_overlap(out: Path, inputs: Sequence[Path]) -> None:
+    """Refuse a folder of results that would overwrite what the run reads.
+
+    Args:
+        out: The folder of results.
+        inputs: Files and folders that are read.
+
+    Raises:
+        InputError: naming the input that is in the way.
+    """
+    written = [(out / name).resolve() for name in OUTPUTS]
+    for path in inputs:
+        if any(path.resolve() == one or one in path.resolve().parents for one in written):
+            raise InputError(
+                f"{path}: is read and would be overwritten by the results; give another --out "
+                f"than {out}"
+            )
 
 
 @contextlib.contextmanager
@@ -108,9 +131,9 @@ def write_results(
         if name in result.detections:
             write_probability(image_path(folder / "detector", name), result.detections[name])
         progress("write", done, steps)
-    renders = {}
+    renders, gaussians = {}, jax.device_put(scene.gaussians)
     for done, camera in enumerate(pictured, start=len(result.masks) + 1):
-        image = np.asarray(render(scene.gaussians, camera, near=result.config.near)[0])
+        image = np.asarray(render(gaussians, camera, near=result.config.near)[0])
         renders[camera.name] = image
         marked = overlay(image, result.masks[camera.name])
         write_image(image_path(folder / "overlay", camera.name), marked)
@@ -145,6 +168,7 @@ def write_report(folder: Path, command: dict[str, Any], located: Located) -> Non
         "judged_views": len(result.detections),
         "tampered_share_of_views": located.visible_share,
         "per_view": [_view(camera, result) for camera in located.cameras],
+        "seconds": located.seconds,
         "stages": located.stages,
         "warnings": located.warnings,
         "versions": _versions(),
@@ -172,7 +196,7 @@ def _write_overview(path: Path, renders: dict[str, np.ndarray], result: Result) 
     rows = []
     for name in names:
         image = renders[name]
-        said = result.detections.get(name, np.zeros(image.shape[:2]))
+        said = result.detections.get(name, np.zeros(image.shape[:2], np.float16))
         rows.append([image, said, overlay(image, result.masks[name])])
     contact_sheet(path, rows, titles=("render", "2D detector", "found"), labels=names)
 
@@ -189,8 +213,6 @@ def _view(camera: Camera, result: Result) -> dict[str, Any]:
 
 
 def _versions() -> dict[str, str]:
-    import jax
-
     versions = {name: importlib.metadata.version(name) for name in PACKAGES}
     device = jax.devices()[0]
     return {

@@ -11,10 +11,18 @@ import tomllib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+import jax
 import numpy as np
 
 from gsc_jax.app.options import Locate, Look, Render
-from gsc_jax.app.outputs import Located, evenly, replacing, write_report, write_results
+from gsc_jax.app.outputs import (
+    Located,
+    evenly,
+    refuse_overlap,
+    replacing,
+    write_report,
+    write_results,
+)
 from gsc_jax.detection import Detector
 from gsc_jax.detectors.folder import FolderDetector
 from gsc_jax.detectors.onnx import OnnxDetector
@@ -25,13 +33,14 @@ from gsc_jax.io.files import existing_file
 from gsc_jax.io.masks import image_path, write_image
 from gsc_jax.io.ply import PlyScene, read_ply
 from gsc_jax.locate import locate
-from gsc_jax.method import METHODS
+from gsc_jax.method import METHODS, MethodConfig
 from gsc_jax.scene import Camera, Gaussians
 from gsc_jax.splat import render
 from gsc_jax.stages import Progress, Stages, silent
 from gsc_jax.views import check_views, orbit_cameras
 
 ORBIT_VIEWS = 24
+MIN_SIDE, MAX_PIXELS = 8, 50_000_000
 
 
 def run_locate(options: Locate, *, progress: Progress = silent) -> Located:
@@ -49,22 +58,21 @@ def run_locate(options: Locate, *, progress: Progress = silent) -> Located:
     """
     stages, warnings = Stages(), []
     _check_look(options)
+    config = _config(options)
+    paths = (options.scene, options.cameras, options.masks, options.detector, options.spec)
+    inputs = [path for path in paths if path]
+    refuse_overlap(options.out, inputs)
     detector = _detector(options)
     with stages("load"):
         scene, cameras = _load(options, warnings, progress)
     cameras = _chosen(options, detector.select(cameras), warnings) if options.views else cameras
     with _about(options.cameras or options.scene):
         check_views(scene.gaussians, cameras, near=options.near)  # locate repeats its warnings
-    config = dataclasses.replace(
-        METHODS[options.method], near=options.near, mask_rule=options.mask_rule, seed=options.seed
-    )
-    inputs = (options.scene, options.cameras, options.masks, options.detector, options.spec)
-    with replacing(options.out, keep=[path for path in inputs if path]) as folder:
+    with replacing(options.out, keep=inputs) as folder:
         result = locate(
             scene.gaussians,
             cameras,
             detector,
-            method=options.method,
             config=config,
             progress=progress,
         )
@@ -79,6 +87,7 @@ def run_locate(options: Locate, *, progress: Progress = silent) -> Located:
             cameras=cameras,
             result=result,
             stages={"load": own["load"], **result.stages, "write": own["write"]},
+            seconds=stages.elapsed(),
             warnings=warnings,
         )
         write_report(folder, dataclasses.asdict(options), located)
@@ -108,11 +117,32 @@ def run_render(options: Render, *, progress: Progress = silent) -> tuple[int, li
         warnings += check_views(scene.gaussians, cameras, near=options.near)
     if options.cameras is None:
         save_cameras(options.out / "cameras.json", cameras)
+    gaussians = jax.device_put(scene.gaussians)
     for done, camera in enumerate(cameras, start=1):
-        image, _ = render(scene.gaussians, camera, background=options.background, near=options.near)
+        image, _ = render(gaussians, camera, background=options.background, near=options.near)
         write_image(image_path(options.out, camera.name), np.asarray(image))
         progress("render", done, len(cameras))
     return len(cameras), warnings
+
+
+def _config(options: Locate) -> MethodConfig:
+    """The method with what was asked for changed; None leaves a value to the method."""
+    method = METHODS[options.method]
+    if not 0 <= options.threshold < 1:
+        raise InputError(f"--threshold {options.threshold:g}: expected 0 or more, and less than 1")
+    if options.epochs is not None and options.epochs < 1:
+        raise InputError(f"--epochs {options.epochs}: expected at least one")
+    if not (math.isfinite(options.lambda2) and options.lambda2 >= 0):
+        raise InputError(f"--lambda2 {options.lambda2:g}: expected 0 or more")
+    return dataclasses.replace(
+        method,
+        epochs=options.epochs or method.epochs,
+        loop=dataclasses.replace(method.loop, lambda2=options.lambda2),
+        threshold=options.threshold,
+        near=options.near,
+        mask_rule=options.mask_rule,
+        seed=options.seed,
+    )
 
 
 def _load(options: Look, warnings: list[str], progress: Progress) -> tuple[PlyScene, list[Camera]]:
@@ -121,6 +151,8 @@ def _load(options: Look, warnings: list[str], progress: Progress) -> tuple[PlySc
     scene = read_ply(options.scene)
     if scene.dropped:
         warnings.append(f"{options.scene}: {scene.dropped_summary}")
+    if "tamper" in {p.name for element in scene.ply.elements for p in element.properties}:
+        warnings.append(f"{options.scene}: has a property tamper already; results replace it")
     progress("load", 1, 2)
     cameras = _cameras(options, scene.gaussians, warnings)
     with _about(options.cameras or options.scene):
@@ -139,7 +171,15 @@ def _cameras(options: Look, gaussians: Gaussians, warnings: list[str]) -> list[C
             f"no --cameras given: {count} cameras were placed around the scene, -y up, and written "
             "to cameras.json; those that the scene was trained with see it best"
         )
-    return [camera.scaled(options.scale) for camera in cameras]
+    scaled = [camera.scaled(options.scale) for camera in cameras]
+    for camera in scaled:
+        size = f"{camera.width} x {camera.height}"
+        if min(camera.width, camera.height) < MIN_SIDE or camera.width * camera.height > MAX_PIXELS:
+            raise InputError(
+                f"--scale {options.scale:g}: camera {camera.name!r} would have {size} pixels, "
+                f"expected sides of at least {MIN_SIDE} and at most {MAX_PIXELS:,} pixels in all"
+            )
+    return scaled
 
 
 def _chosen(options: Look, cameras: Sequence[Camera], warnings: list[str]) -> list[Camera]:
@@ -160,6 +200,11 @@ def _detector(options: Locate) -> Detector:
             "MODEL.onnx), one of the two; to try without either: gsc-jax demo --out demo"
         )
     if options.masks is not None:
+        if options.cameras is None:
+            raise InputError(
+                f"--masks {options.masks}: masks belong to cameras, give those with --cameras "
+                "(`gsc-jax render` writes a cameras.json when it makes an orbit)"
+            )
         if options.preset or options.spec:
             raise InputError("--preset and --spec say how to run a --detector; there is none")
         return FolderDetector(options.masks)

@@ -16,6 +16,7 @@ import numpy as np
 from gsc_jax.benchmark.furniture import TABLE, room_parts, vase_parts
 from gsc_jax.benchmark.surfaces import UP, Habits, made_of
 from gsc_jax.scene import Camera, Gaussians
+from gsc_jax.views import look_at
 
 OBJECT_FOOT = np.array([0.15, -TABLE, 0.05])
 FLOATER_SHARE = 0.03
@@ -99,7 +100,7 @@ def room_cameras(
         position = np.array([1.7 * np.cos(turn), -rng.uniform(1.25, 1.75), 1.5 * np.sin(turn)])
         aside = 2.2 * np.array([-np.sin(turn), 0, np.cos(turn)]) if i % 8 == 5 else np.zeros(3)
         target = OBJECT_FOOT + 0.15 * UP + aside + rng.normal(0, [0.2, 0.1, 0.2])
-        views.append(_looking(position, target))
+        views.append(look_at(position, target, UP))
     return [
         Camera(viewmat=view, K=intrinsics, width=width, height=height, name=f"{prefix}_{i:03d}")
         for i, view in enumerate(views)
@@ -149,17 +150,6 @@ def tampered_room(
 def concatenate(scenes: list[Gaussians]) -> Gaussians:
     """The Gaussians of several scenes of one degree, in order."""
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *scenes)
-
-
-def _looking(position: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """World to camera of a level camera, float32 (4, 4)."""
-    forward = (target - position) / np.linalg.norm(target - position)
-    right = np.cross(UP, -forward)
-    right /= np.linalg.norm(right)
-    rotation = np.stack([right, np.cross(forward, right), forward])
-    viewmat = np.eye(4, dtype=np.float32)
-    viewmat[:3] = np.column_stack([rotation, -rotation @ position])
-    return viewmat
 
 
 def _floaters(surfaces: Gaussians, count: int, rng: np.random.Generator) -> Gaussians:

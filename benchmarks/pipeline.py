@@ -84,7 +84,7 @@ def locate_seconds(count: int = 300_000) -> dict:
 
 
 def rendered_seconds(views_used: int = 20) -> dict:
-    """One epoch of the optimisation by both paths; the rest of `locate` is the same for both."""
+    """`locate` by both paths, five epochs; all but the optimisation is the same for both."""
     gaussians, views, masks = many_views(300_000)
     seconds = {}
     for path in ("evidence", "rendered"):

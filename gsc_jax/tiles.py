@@ -20,7 +20,7 @@ from gsc_jax.scene import Array, Camera, Gaussians
 
 TILE = 8
 """Side of a tile in pixels."""
-CPU_LOCKSTEP = 64
+CPU_LOCKSTEP = 128
 """Tiles that walk together on a CPU: their weights for a chunk then fit into the L2 cache."""
 UNIT = np.int64(1) << 32
 """What the major half of a sort key is multiplied with; the minor half is an index."""
@@ -71,7 +71,7 @@ def make_view(
         gaussians: N Gaussians, not traced: the length of the lists depends on the data.
         camera: The view.
         near: Near plane in world units.
-        lockstep: Tiles that walk together; 64 on a CPU and all of them on an accelerator.
+        lockstep: Tiles that walk together; 128 on a CPU and all of them on an accelerator.
 
     Returns:
         The view. Its arrays have one of a few sizes, so that another camera recompiles nothing.

@@ -15,7 +15,7 @@ import numpy as np
 from gsc_jax.projection import NEAR
 from gsc_jax.scene import Array, Camera, Gaussians
 from gsc_jax.splat import composite_with_alpha
-from gsc_jax.tiles import make_view
+from gsc_jax.tiles import make_view, restricted
 
 MaskRule = Literal["share", "attribute", "per-view"]
 MIN_COVERAGE = 0.1
@@ -82,8 +82,9 @@ def rendered_share(
     Returns:
         Weighted mean over what each pixel shows, shape (H, W); 0 where alpha is 0.1 or less.
     """
-    column = jnp.asarray(feature, jnp.float32)[:, None]
-    image, alpha = composite_with_alpha(make_view(gaussians, camera, near=near), column)
+    feature = jnp.asarray(feature, jnp.float32)
+    view = restricted(make_view(gaussians, camera, near=near), np.asarray(feature) != 0)
+    image, alpha = composite_with_alpha(view, feature[:, None])
     covered = alpha > MIN_COVERAGE
     return np.asarray(jnp.where(covered, image[..., 0] / jnp.where(covered, alpha, 1.0), 0.0))
 

@@ -25,8 +25,8 @@ MIN_TRANSMITTANCE = 1e-4
 """A pixel stops before its transmittance would fall below this."""
 LOG_MIN_ALPHA = math.log(MIN_ALPHA)
 CHUNK = 8
-"""Splats per step of the lockstep loop. The cumulative product costs more than its share in a longer
-chunk, and the launch of each operation in a shorter one."""
+"""Splats per step of the lockstep loop: in longer chunks the cumulative product costs more than its
+share, in shorter ones the launch of every operation does."""
 
 
 def alpha_at(splat: jax.Array, pixel: jax.Array) -> jax.Array:

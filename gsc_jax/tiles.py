@@ -9,6 +9,7 @@ keys of 64 bits, which NumPy 2 sorts with vector instructions: once by depth, th
 
 import dataclasses
 import functools
+import math
 from typing import NamedTuple
 
 import jax
@@ -82,22 +83,47 @@ def make_view(
 def bin_view(splats: Splats, camera: Camera, *, lockstep: int | None = None) -> View:
     """Bin projected Gaussians: the second half of `make_view`, with the same arguments."""
     lists = bin_splats(splats, camera.width, camera.height)
-    tiles = len(lists.counts)
     if lockstep is None:
-        lockstep = CPU_LOCKSTEP if jax.default_backend() == "cpu" else tiles
-    lockstep = min(lockstep, tiles)
-    padding = (0, -tiles % lockstep)
-    longest_first = np.argsort(-lists.counts, kind="stable").astype(np.int32)
+        lockstep = CPU_LOCKSTEP if jax.default_backend() == "cpu" else len(lists.counts)
+    lockstep = min(lockstep, len(lists.counts))
     return View(
         splats=_table(splats),
         ids=jnp.asarray(_padded(lists.ids)),
-        tiles=jnp.asarray(np.pad(longest_first, padding, constant_values=tiles)),
-        starts=jnp.asarray(np.pad(lists.starts[longest_first], padding)),
-        counts=jnp.asarray(np.pad(lists.counts[longest_first], padding)),
         width=camera.width,
         height=camera.height,
         lockstep=lockstep,
+        **_longest_first(lists.starts, lists.counts, lockstep),
     )
+
+
+def restricted(view: View, wanted: np.ndarray) -> View:
+    """The view without the tiles that no wanted splat touches.
+
+    What is blended there stays 0; where a feature of all other splats is 0, so it is anyway.
+
+    Args:
+        view: The scene as a camera sees it, of N Gaussians.
+        wanted: Boolean, shape (N,).
+
+    Returns:
+        A view of the same size, most of whose tiles may have nothing to do.
+    """
+    touched = np.cumsum(np.append(False, np.asarray(wanted).take(np.asarray(view.ids))))
+    order = np.argsort(np.asarray(view.tiles), kind="stable")[: math.prod(view.grid)]
+    starts, counts = (np.asarray(x)[order] for x in (view.starts, view.counts))
+    counts = np.where(touched[starts + counts] > touched[starts], counts, 0)
+    return dataclasses.replace(view, **_longest_first(starts, counts, view.lockstep))
+
+
+def _longest_first(starts: np.ndarray, counts: np.ndarray, lockstep: int) -> dict[str, jax.Array]:
+    """Tiles, starts and counts of a view, from those in the order of the tiles."""
+    padding = (0, -len(counts) % lockstep)
+    order = np.argsort(-counts, kind="stable").astype(np.int32)
+    return {
+        "tiles": jnp.asarray(np.pad(order, padding, constant_values=len(counts))),
+        "starts": jnp.asarray(np.pad(starts[order], padding)),
+        "counts": jnp.asarray(np.pad(counts[order], padding)),
+    }
 
 
 def _padded(ids: np.ndarray) -> np.ndarray:

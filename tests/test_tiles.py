@@ -3,13 +3,16 @@
 import dataclasses
 from typing import SupportsIndex
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import reference
 from strategies import blobs, camera, random_scene
 
 from gsc_jax.projection import project
-from gsc_jax.tiles import TILE, bin_splats
+from gsc_jax.splat import composite
+from gsc_jax.tiles import TILE, bin_splats, make_view, restricted
 
 SIZES = [(1, 1), (15, 17), (33, 1), (17, 33), (64, 48)]
 MARGIN = 1e-3
@@ -138,3 +141,20 @@ def test_nothing_visible_gives_empty_lists(places):
     lists = bin_splats(project(blobs(places), camera(17, 15)), 17, 15)
     assert lists.counts.tolist() == lists.starts.tolist() == [0] * 6
     assert len(lists.ids) == 0
+
+
+def test_a_restricted_view_blends_the_wanted_splats_as_the_whole_one_does():
+    gaussians, view = random_scene(300, seed=4), camera(65, 47)
+    wanted = np.zeros(300, bool)
+    wanted[::60] = True
+    features = jnp.asarray(wanted, jnp.float32)[:, None]
+    whole = make_view(gaussians, view)
+    part = restricted(whole, wanted)
+    image = composite(whole, features)
+    assert image.any(), "the wanted splats are invisible"
+    np.testing.assert_array_equal(composite(part, features), image)
+    assert np.count_nonzero(part.counts) < np.count_nonzero(whole.counts)
+    assert not np.any(restricted(whole, np.zeros(300, bool)).counts)
+    everything = restricted(whole, np.ones(300, bool))
+    for leaf, other in zip(jax.tree.leaves(everything), jax.tree.leaves(whole), strict=True):
+        np.testing.assert_array_equal(leaf, other)

@@ -29,6 +29,8 @@ lint: $(VENV)/installed-dev
 
 bench: $(VENV)/installed
 	$(BIN)/python benchmarks/splat.py
+	$(BIN)/python benchmarks/pipeline.py
+	$(BIN)/python benchmarks/page.py
 
 clean:
 	rm -rf $(VENV) demo build dist *.egg-info .pytest_cache .ruff_cache .hypothesis

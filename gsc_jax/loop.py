@@ -139,14 +139,13 @@ def _adam(learning_rate: float) -> optax.GradientTransformation:
     return optax.adam(learning_rate, eps=1e-15)
 
 
-@jax.jit
 def fit(
     evidence: Evidence, r: Array, attributes: Array, order: Array, *, config: LoopConfig
 ) -> tuple[jax.Array, StepInfo]:
-    """Optimise on the evidence path: one scan, no rendering.
+    """Optimise on the evidence path: no rendering.
 
     Args:
-        evidence: Of V views, shapes (V, N).
+        evidence: Of V views, shapes (V, N); the host may hold it, a view at a time is copied.
         r: Initial attribute, shape (N,).
         attributes: What the 3D loss compares, shape (N, A).
         order: View of each iteration, shape (iterations,), int32.
@@ -155,16 +154,11 @@ def fit(
     Returns:
         The attribute, shape (N,), and the infos of all the iterations.
     """
-    config = resolved(config, len(order))
-    weights = {"lambda1": config.lambda1, "lambda2": config.lambda2}
 
-    def iterate(state, view):
-        one = jax.tree.map(lambda leaf: leaf[view], evidence)
-        view_loss = functools.partial(loss_2d_from_evidence, evidence=one, **weights)
-        return step(state, view_loss, attributes, config=config)
+    def look(index: int) -> tuple[Evidence]:
+        return (jax.tree.map(lambda leaf: leaf[index], evidence),)
 
-    state, infos = jax.lax.scan(iterate, init(r), order)
-    return state.r, infos
+    return _iterate(_evidence_step, look, r, attributes, order, config)
 
 
 def fit_rendered(
@@ -188,12 +182,26 @@ def fit_rendered(
     Returns:
         As `fit`.
     """
+    return _iterate(_rendered_step, look, r, attributes, order, config)
+
+
+def _iterate(one_step, look, r, attributes, order, config) -> tuple[jax.Array, StepInfo]:
+    """`one_step` with what `look` shows, for every view of the order."""
     config = resolved(config, len(order))
-    state, infos = init(r), []
+    state, infos, attributes = init(r), [], jnp.asarray(attributes)
     for index in np.asarray(order):
-        state, info = _rendered_step(state, *look(int(index)), attributes, config)
+        state, info = one_step(state, *look(int(index)), attributes, config)
         infos.append(info)
     return state.r, jax.tree.map(lambda *leaves: jnp.stack(leaves), *infos)
+
+
+@jax.jit
+def _evidence_step(state: State, evidence: Evidence, attributes: Array, config: LoopConfig):
+    def view_loss(r):
+        weights = {"lambda1": config.lambda1, "lambda2": config.lambda2}
+        return loss_2d_from_evidence(r, evidence, **weights)
+
+    return step(state, view_loss, attributes, config=config)
 
 
 @jax.jit

@@ -12,7 +12,7 @@ Item = TypeVar("Item")
 Value = TypeVar("Value")
 
 WORKERS = 2
-"""Threads, and how many results may wait; more only cost memory, XLA has its own threads."""
+"""Threads, and how many items are on their way; more only cost memory, XLA has its own threads."""
 
 
 def ahead(
@@ -31,7 +31,7 @@ def ahead(
     waiting: deque[Future[Value]] = deque()
     for item in items:
         waiting.append(pool.submit(function, item))
-        if len(waiting) > WORKERS:
+        if len(waiting) == WORKERS:
             yield waiting.popleft().result()
     while waiting:
         yield waiting.popleft().result()

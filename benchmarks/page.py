@@ -1,0 +1,79 @@
+"""Write the tables of `docs/performance.md` from `docs/performance.json`.
+
+python benchmarks/page.py
+"""
+
+import json
+import sys
+from pathlib import Path
+
+import common
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "experiments"))
+from tables import write_section
+
+
+def main() -> None:
+    """Fill both sections."""
+    parts = json.loads((common.DOCS / "performance.json").read_text())
+    page = common.DOCS / "performance.md"
+    write_section(page, "splat", splat_table(parts["splat"]))
+    write_section(page, "pipeline", pipeline_list({k: v["values"] for k, v in parts.items()}))
+
+
+def splat_table(part: dict) -> str:
+    """A row per scene and size."""
+    lines = [
+        described(part["machine"]) + "\n",
+        "| scene | size | project | bin | composite | accumulate | whole view | plain | ratio | "
+        "C, 1 core | C, all cores | listed | contribute | compile |",
+        "|" + "---|" * 14,
+    ]
+    for row in part["values"]:
+        stages = ("project", "bin", "composite", "accumulate", "whole view", "plain whole view")
+        cells = [f"{1e3 * row[stage]:.0f} ms" for stage in stages]
+        ratio = row["plain whole view"] / row["whole view"]
+        limits = [row.get(f"C composite, {cores}") for cores in ("1 core", "all cores")]
+        cells += [f"**{ratio:.1f}**"]
+        cells += [f"{1e3 * t:.0f} ms ({row['composite'] / t:.1f}x)" if t else "-" for t in limits]
+        cells += [f"{row[key] / 1e6:.0f} M" for key in ("listed", "needed") if key in row]
+        cells += [f"{row['first view with compilation']:.1f} s"]
+        size = f"{row['width']}x{row['height']}"
+        lines.append(f"| {row['scene']} | {size} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def described(machine: dict) -> str:
+    """The machine, in words."""
+    return (
+        f"{machine['device']}, {machine['cores']} cores, Python {machine['python']}, JAX "
+        f"{machine['jax']}, NumPy {machine['numpy']}."
+    )
+
+
+def pipeline_list(values: dict) -> str:
+    """A line per part of `benchmarks/pipeline.py`."""
+    rendered, memory, cold = (values[part] for part in ("rendered", "memory", "cold"))
+    sweep, slopes = values["sweep"], values["scaling"]["slopes"]
+    return "\n".join(
+        [
+            f"- `locate`, 300,000 Gaussians, 100 views of 640x420, given masks: "
+            f"{values['locate']['seconds']:.1f} s, compilation included.",
+            f"- The same by rendering and differentiating in every iteration ({rendered['views']} "
+            f"views, {rendered['epochs']} epochs): {rendered['rendered']:.1f} s against "
+            f"{rendered['evidence']:.1f} s on the evidence, {rendered['ratio']:.1f} times as long.",
+            f"- 3 million Gaussians and 100 views: {memory['seconds']:.0f} s, peak "
+            f"{memory['peak_gib']:.1f} GiB.",
+            f"- Import {cold['import']:.2f} s; first view {cold['first view']:.1f} s, in the next "
+            f"process {cold['first view, cached']:.1f} s from the compilation cache.",
+            f"- {sweep['configurations']} configurations on evidence of 24 views computed once: "
+            f"{sweep['many']:.1f} s, after {sweep['observe']:.1f} s for the evidence; "
+            f"{sweep['ratio']:.1f} times one configuration.",
+            f"- Slope in log-log over the upper decade: {slopes['Gaussians']:.2f} against "
+            f"Gaussians, {slopes['pixels']:.2f} against pixels.",
+        ]
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -5,8 +5,9 @@
 `locate`: 300k Gaussians, 100 views of 640x420, given masks. `rendered`: the same optimisation by
 rendering and differentiating every iteration. `memory`: 3 million Gaussians and 100 views, peak of
 a process of its own. `cold`: import and first view in new processes, with and without the
-compilation cache. `sweep`: a hundred configurations on evidence computed once, against one. `scaling`: time against
-Gaussians and pixels, drawn to `docs/performance.png`. Writes `docs/performance.json`.
+compilation cache. `sweep`: a hundred configurations on evidence computed once, against one.
+`scaling`: time against Gaussians and pixels, drawn to `docs/performance.png`. Writes
+`docs/performance.json`.
 """
 
 import dataclasses

@@ -108,9 +108,10 @@ def restricted(view: View, wanted: np.ndarray) -> View:
     Returns:
         A view of the same size, most of whose tiles may have nothing to do.
     """
-    touched = np.cumsum(np.append(False, np.asarray(wanted).take(np.asarray(view.ids))))
     order = np.argsort(np.asarray(view.tiles), kind="stable")[: math.prod(view.grid)]
     starts, counts = (np.asarray(x)[order] for x in (view.starts, view.counts))
+    listed = np.asarray(view.ids)[: np.max(starts + counts)]
+    touched = np.cumsum(np.append(False, np.asarray(wanted).take(listed)), dtype=np.int32)
     counts = np.where(touched[starts + counts] > touched[starts], counts, 0)
     return dataclasses.replace(view, **_longest_first(starts, counts, view.lockstep))
 

@@ -155,6 +155,7 @@ def test_a_restricted_view_blends_the_wanted_splats_as_the_whole_one_does():
     np.testing.assert_array_equal(composite(part, features), image)
     assert np.count_nonzero(part.counts) < np.count_nonzero(whole.counts)
     assert not np.any(restricted(whole, np.zeros(300, bool)).counts)
+    np.testing.assert_array_equal(composite(restricted(part, wanted), features), image)
     everything = restricted(whole, np.ones(300, bool))
     for leaf, other in zip(jax.tree.leaves(everything), jax.tree.leaves(whole), strict=True):
         np.testing.assert_array_equal(leaf, other)

@@ -14,7 +14,7 @@ from gsc_jax.detection import Detector, as_detector
 from gsc_jax.errors import InputError
 from gsc_jax.loop import resolved
 from gsc_jax.method import METHODS, Finding, Method, MethodConfig, find
-from gsc_jax.observe import Observation, observe
+from gsc_jax.observe import observe
 from gsc_jax.parallel import WORKERS, ahead
 from gsc_jax.scene import Camera, Gaussians
 from gsc_jax.stages import Progress, Stages, silent
@@ -100,14 +100,16 @@ def locate(
     config = dataclasses.replace(config, loop=loop)
     with stages("optimise"):
         finding = find(gaussians, chosen, observation, config)
+    seen, flagged, detections = observation.evidence.seen, observation.masks, observation.detections
+    del observation  # the evidence is the largest thing there is, and the masks do not need it
     masks = _masks(gaussians, cameras, finding, config, stages, progress)
     return Result(
         tamper=finding.tamper,
         labels=finding.labels,
         attribute=finding.attribute,
         masks=masks,
-        detections=observation.detections,
-        seen=observation.evidence.seen,
+        detections=detections,
+        seen=seen,
         group_sizes=finding.group_sizes,
         method=config.name,
         config=config,
@@ -116,7 +118,7 @@ def locate(
         warnings=[
             *warnings,
             *finding.warnings,
-            *_disagreement(observation, masks),
+            *_disagreement(flagged, masks),
             *getattr(detector, "warnings", ()),
         ],
     )
@@ -152,14 +154,14 @@ def _masks(
     return masks
 
 
-def _disagreement(observation: Observation, masks: dict[str, np.ndarray]) -> list[str]:
+def _disagreement(flagged: dict[str, np.ndarray], masks: dict[str, np.ndarray]) -> list[str]:
     """A warning where next to nothing of what the detector flagged was confirmed."""
-    flagged = np.mean([mask.mean() for mask in observation.masks.values()])
-    found = np.mean([masks[name].mean() for name in observation.masks])
-    if not 0 < found < DISAGREEMENT * flagged:
+    said = np.mean([mask.mean() for mask in flagged.values()])
+    found = np.mean([masks[name].mean() for name in flagged])
+    if not 0 < found < DISAGREEMENT * said:
         return []
     return [
-        f"The detector flags {flagged:.1%} of what the views show, of which {found:.2%} was "
+        f"The detector flags {said:.1%} of what the views show, of which {found:.2%} was "
         "confirmed: its masks disagree. A smaller lambda2 asks for less agreement."
     ]
 

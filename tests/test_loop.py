@@ -121,9 +121,12 @@ def test_both_paths_take_the_same_trajectory(method):
     np.testing.assert_allclose(fast_info.loss_2d, slow_info.loss_2d, rtol=1e-3, atol=1e-2)
 
 
+FULL_RUNS = list(zip(TAMPERED, ("official", "paper"), strict=True))
+
+
 @needs_data
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "method"), zip(TAMPERED, ("official", "paper"), strict=True))
+@pytest.mark.parametrize(("name", "method"), FULL_RUNS)
 def test_both_paths_agree_on_the_real_scenes(name, method):
     data = load_tampered(name)
     cameras = [c.scaled(0.25) for c in data.cameras]

@@ -22,9 +22,8 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 
-from gsc_jax import METHODS, locate
+from gsc_jax import METHODS, locate, method
 from gsc_jax.detection import as_detector
-from gsc_jax.method import find
 from gsc_jax.observe import observe
 from gsc_jax.scene import Camera, Gaussians
 from gsc_jax.splat import accumulate
@@ -146,16 +145,18 @@ def sweep(configurations: int = 100) -> dict:
     """Evidence computed once and optimised under many lambda2, against one such run."""
     gaussians, views, masks = many_views(300_000)
     views = views[:24]
+    official = METHODS["official"]
     observation = observe(gaussians, views, as_detector(masks))  # compiles
     start = time.perf_counter()
     observation = observe(gaussians, views, as_detector(masks))
     looked = time.perf_counter() - start
 
     def fits(count: int) -> None:
-        for lambda2 in np.linspace(0.1, 10, count):
-            loop = dataclasses.replace(METHODS["official"].loop, lambda2=float(lambda2))
-            config = dataclasses.replace(METHODS["official"], loop=loop)
-            find(gaussians, views, observation, config)
+        configs = [
+            dataclasses.replace(official, loop=dataclasses.replace(official.loop, lambda2=price))
+            for price in np.linspace(0.1, 10, count).tolist()
+        ]
+        assert len(list(method.sweep(gaussians, views, observation, configs))) == count
 
     fits(1)  # compiles
     one, many = (common.seconds(lambda n=n: fits(n)) for n in (1, configurations))

@@ -92,7 +92,7 @@ def step(
     Args:
         state: The state before.
         view_loss: The 2D loss of a view as a function of the attribute, (N,) to scalar.
-        attributes: What the 3D loss compares, shape (N, A).
+        attributes: What the 3D loss compares, shape (A, N).
         config: Weights and schedule.
 
     Returns:
@@ -147,7 +147,7 @@ def fit(
     Args:
         evidence: Of V views, shapes (V, N); the host may hold it, a view at a time is copied.
         r: Initial attribute, shape (N,).
-        attributes: What the 3D loss compares, shape (N, A).
+        attributes: What the 3D loss compares, shape (A, N).
         order: View of each iteration, shape (iterations,), int32.
         config: Weights and schedule.
 
@@ -175,7 +175,7 @@ def fit_rendered(
         look: The view and the mask (H, W) of a number from `order`; called every iteration, so
             that only one view is held at a time.
         r: Initial attribute, shape (N,).
-        attributes: What the 3D loss compares, shape (N, A).
+        attributes: What the 3D loss compares, shape (A, N).
         order: View of each iteration, shape (iterations,), int32.
         config: Weights and schedule.
 

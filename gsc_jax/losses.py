@@ -3,10 +3,16 @@
 Equation numbers are those of the paper. Where its text leaves a definition open (G_h, G_m, G_l, the
 attributes F), the released code's definition is used for both. A mean over an empty group does not
 exist; the 3D loss is then 0 with zero gradient, where the released code puts NaN into r and Adam.
+
+Attributes F have a row each, (A, N), because XLA on a CPU sums long rows many times faster than
+short columns.
 """
+
+import functools
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from gsc_jax.evidence import Evidence
 from gsc_jax.pytree import pytree
@@ -84,7 +90,7 @@ def direction(attributes: Array, groups: Partition, *, per_feature: bool = False
     2 (F - (mean_h + mean_l) / 2) (mean_h - mean_l), which does not square large attributes.
 
     Args:
-        attributes: What is compared, F, shape (N, A).
+        attributes: What is compared, F, shape (A, N).
         groups: The partition of the N Gaussians.
         per_feature: The released code's variant: a sign per attribute, averaged over them.
 
@@ -92,11 +98,12 @@ def direction(attributes: Array, groups: Partition, *, per_feature: bool = False
         u in [-1, 1], shape (N,); 0 outside the middle group, or where a group is empty.
     """
     mean_h, mean_l = (_masked_mean(attributes, group) for group in (groups.high, groups.low))
-    nearer_h = 2.0 * (attributes - 0.5 * (mean_h + mean_l)[None]) * (mean_h - mean_l)[None]
+    centers, gaps = 0.5 * (mean_h + mean_l), mean_h - mean_l
+    nearer_h = [2.0 * (F - c) * gap for F, c, gap in zip(attributes, centers, gaps, strict=True)]
     if per_feature:
-        u = jnp.mean(jnp.sign(nearer_h), axis=-1)
+        u = _total([jnp.sign(nearer) for nearer in nearer_h]) / len(nearer_h)
     else:
-        u = jnp.sign(jnp.sum(nearer_h, axis=-1))
+        u = jnp.sign(_total(nearer_h))
     comparable = jnp.any(groups.high) & jnp.any(groups.low)
     return jnp.where(groups.middle & comparable, u, 0.0)
 
@@ -108,7 +115,7 @@ def loss_3d(
 
     Args:
         r: Attribute, shape (N,).
-        attributes: What is compared, F, shape (N, A).
+        attributes: What is compared, F, shape (A, N).
         groups: The partition of the N Gaussians.
         per_feature: The released code's variant of the direction.
 
@@ -120,9 +127,14 @@ def loss_3d(
 
 
 def _masked_mean(values: Array, mask: Array) -> jax.Array:
-    """Mean of the masked rows, shape (A,); 0 when there is none."""
+    """Mean of the masked columns, shape (A,); 0 when there is none."""
     weights = jnp.asarray(mask, values.dtype)
-    return jnp.matmul(weights, values, precision="highest") / jnp.maximum(jnp.sum(weights), 1.0)
+    return jnp.matmul(values, weights, precision="highest") / jnp.maximum(jnp.sum(weights), 1.0)
+
+
+def _total(rows: list[jax.Array]) -> jax.Array:
+    # Term by term: XLA on a CPU fuses this; its own sum over so short an axis is not vectorised.
+    return functools.reduce(jnp.add, rows)
 
 
 def paper_attributes(gaussians: Gaussians) -> jax.Array:
@@ -132,7 +144,7 @@ def paper_attributes(gaussians: Gaussians) -> jax.Array:
         gaussians: N Gaussians.
 
     Returns:
-        Shape (N, 11 + 3 K); the attribute with the largest unit decides.
+        Shape (11 + 3 K, N); the attribute with the largest unit decides.
     """
     return _stack(gaussians, jnp.reshape(gaussians.sh, (len(gaussians), -1)))
 
@@ -144,7 +156,7 @@ def official_attributes(gaussians: Gaussians) -> jax.Array:
         gaussians: N Gaussians.
 
     Returns:
-        Shape (N, 14).
+        Shape (14, N).
     """
     return _stack(gaussians, jnp.asarray(gaussians.sh)[:, 0])
 
@@ -152,10 +164,10 @@ def official_attributes(gaussians: Gaussians) -> jax.Array:
 def _stack(gaussians: Gaussians, color: jax.Array) -> jax.Array:
     opacities = gaussians.opacities[:, None]
     parts = [gaussians.means, color, opacities, gaussians.scales, gaussians.rotations]
-    return jnp.concatenate(parts, axis=1)
+    return jnp.concatenate(parts, axis=1).T
 
 
-def standardised_attributes(gaussians: Gaussians) -> jax.Array:
+def standardised_attributes(gaussians: Gaussians) -> np.ndarray:
     """Attributes that can share a norm: stored (unbounded) units, each by its median and MAD.
 
     Beyond the paper. Log scales and logit opacities (clipped to +-20), the colour, and the rotation
@@ -165,14 +177,16 @@ def standardised_attributes(gaussians: Gaussians) -> jax.Array:
         gaussians: N Gaussians.
 
     Returns:
-        Shape (N, 14); 0 in an attribute that does not vary.
+        Shape (14, N); 0 in an attribute that does not vary.
     """
-    rotations = gaussians.rotations
-    rotations = jnp.where(rotations[:, :1] < 0, -rotations, rotations)
-    logits = jnp.clip(jnp.asarray(gaussians.logit_opacities), -20.0, 20.0)[:, None]
-    log_scales = jnp.maximum(jnp.asarray(gaussians.log_scales), -20.0)
-    color = 0.5 + Y0 * jnp.asarray(gaussians.sh)[:, 0]
-    raw = jnp.concatenate([gaussians.means, color, logits, log_scales, rotations], axis=1)
-    centered = raw - jnp.median(raw, axis=0, keepdims=True)
-    spread = jnp.median(jnp.abs(centered), axis=0, keepdims=True)
-    return jnp.where(spread > 0, centered / jnp.where(spread > 0, spread, 1.0), 0.0)
+    host = jax.tree.map(np.asarray, gaussians)
+    rotations = np.asarray(gaussians.rotations)
+    rotations = np.where(rotations[:, :1] < 0, -rotations, rotations)
+    logits = np.clip(host.logit_opacities, -20.0, 20.0)[:, None]
+    log_scales = np.maximum(host.log_scales, -20.0)
+    color = 0.5 + Y0 * host.sh[:, 0]
+    raw = np.concatenate([host.means, color, logits, log_scales, rotations], axis=1).T
+    # On the host: a median is a sort in XLA, ten times slower.
+    centered = raw - np.median(raw, axis=1, keepdims=True)
+    spread = np.median(np.abs(centered), axis=1, keepdims=True)
+    return np.where(spread > 0, centered / np.where(spread > 0, spread, 1.0), 0.0)

@@ -5,8 +5,10 @@ the 3D loss compares (eq. 7 and 8), the schedule of the optimisation (eq. 10 to 
 """
 
 import dataclasses
+import functools
 import typing
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Literal
 
 import numpy as np
@@ -16,6 +18,7 @@ from gsc_jax.evidence import Evidence
 from gsc_jax.loop import LoopConfig, fit, fit_rendered, resolved, view_order
 from gsc_jax.losses import official_attributes, paper_attributes, standardised_attributes
 from gsc_jax.observe import Observation
+from gsc_jax.parallel import WORKERS, ahead
 from gsc_jax.projection import NEAR
 from gsc_jax.scene import Camera, Gaussians
 from gsc_jax.tiles import View, make_view
@@ -127,8 +130,49 @@ def find(
         The finding. Where the attribute can say nothing, because no mask or every mask is full, it
         is defined and says so.
     """
-    attribute, group_sizes = _optimise(gaussians, cameras, observation, config)
-    tamper, labels, warnings = _decide(attribute, observation.evidence, config.threshold)
+    return _find(Given(gaussians, cameras, observation), config)
+
+
+def sweep(
+    gaussians: Gaussians,
+    cameras: Sequence[Camera],
+    observation: Observation,
+    configs: Iterable[MethodConfig],
+) -> Iterator[Finding]:
+    """`find` under many configurations; what does not depend on them is computed once.
+
+    Args:
+        gaussians: N Gaussians.
+        cameras: The cameras of the observation, in its order.
+        observation: What they saw, from `observe`.
+        configs: Of the methods; two are worked on at once.
+
+    Yields:
+        A finding per configuration, in their order.
+    """
+    given = Given(gaussians, cameras, observation)
+    with ThreadPoolExecutor(WORKERS) as pool:
+        yield from ahead(pool, functools.partial(_find, given), configs)
+
+
+class Given:
+    """What all configurations start from, each part made when it is first asked for."""
+
+    def __init__(self, gaussians: Gaussians, cameras: Sequence[Camera], observation: Observation):
+        self.gaussians, self.cameras, self.observation = gaussians, cameras, observation
+        self.attributes = functools.cache(lambda name: ATTRIBUTES[name](gaussians))
+        self.initial = functools.cache(self._initial)
+
+    def _initial(self, consensus: str) -> np.ndarray:
+        # The vote knows no occlusion; a Gaussian that no view sees has no evidence to be moved by,
+        # and would keep its votes and set the scale for all others.
+        seen = self.observation.evidence.seen
+        return np.where(seen, CONSENSUS[consensus](self.observation.votes), np.float32(0))
+
+
+def _find(given: Given, config: MethodConfig) -> Finding:
+    attribute, group_sizes = _optimise(given, config)
+    tamper, labels, warnings = _decide(attribute, given.observation.evidence, config.threshold)
     contrasted = group_sizes[resolved(config.loop, len(group_sizes)).contrastive_start :]
     if len(contrasted) and not contrasted.all(axis=1).any():
         empty = [f"G_{g}" for g, n in zip("hml", contrasted.max(axis=0), strict=True) if not n]
@@ -146,25 +190,21 @@ def find(
     )
 
 
-def _optimise(
-    gaussians: Gaussians, cameras: Sequence[Camera], observation: Observation, config: MethodConfig
-) -> tuple[np.ndarray, np.ndarray]:
+def _optimise(given: Given, config: MethodConfig) -> tuple[np.ndarray, np.ndarray]:
     """Raw attribute (N,) and the group sizes of all the iterations."""
-    # The vote knows no occlusion; a Gaussian that no view sees has no evidence to be moved by, and
-    # would keep its votes and set the scale for all others.
-    seen = observation.evidence.seen
-    initial = np.where(seen, CONSENSUS[config.consensus](observation.votes), np.float32(0))
-    attributes = ATTRIBUTES[config.attributes](gaussians)
+    start = given.initial(config.consensus), given.attributes(config.attributes)
+    cameras, observation = given.cameras, given.observation
     order = view_order(len(cameras), epochs=config.epochs, shuffle=config.shuffle, seed=config.seed)
     if config.path == "evidence":
-        r, infos = fit(observation.evidence, initial, attributes, order, config=config.loop)
+        r, infos = fit(observation.evidence, *start, order, config=config.loop)
     else:
 
         def look(index: int) -> tuple[View, np.ndarray]:
             camera = cameras[index]
-            return make_view(gaussians, camera, near=config.near), observation.masks[camera.name]
+            view = make_view(given.gaussians, camera, near=config.near)
+            return view, observation.masks[camera.name]
 
-        r, infos = fit_rendered(look, initial, attributes, order, config=config.loop)
+        r, infos = fit_rendered(look, *start, order, config=config.loop)
     return np.asarray(r), np.asarray(infos.group_sizes)
 
 

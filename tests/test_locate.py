@@ -12,6 +12,9 @@ from gsc_jax.benchmark.metrics import confusion
 from gsc_jax.detection import as_detector, fit_to_view
 from gsc_jax.detectors.folder import FolderDetector
 from gsc_jax.locate import _disagreement
+from gsc_jax.loop import LoopConfig
+from gsc_jax.method import find, sweep
+from gsc_jax.observe import observe
 from gsc_jax.scene import Camera
 
 METHOD = pytest.mark.parametrize("method", ["paper", "official"])
@@ -107,6 +110,20 @@ def test_the_scores_do_not_depend_on_what_was_run_before():
     first = locate(SCENE, cameras(), detector)
     locate(SCENE, cameras(2), detector)
     assert np.array_equal(first.attribute, locate(SCENE, cameras(), detector).attribute)
+
+
+def test_a_sweep_finds_what_each_configuration_finds_alone():
+    observation = observe(SCENE, cameras(), as_detector(truths()))
+    configs = [
+        dataclasses.replace(METHODS[name], loop=LoopConfig(lambda2=lambda2), threshold=threshold)
+        for name, lambda2, threshold in [("official", 1.0, 0.1), ("paper", 5.0, 0.3)]
+    ]
+    found = list(sweep(SCENE, cameras(), observation, configs))
+    for finding, config in zip(found, configs, strict=True):
+        alone = find(SCENE, cameras(), observation, config)
+        assert np.array_equal(finding.attribute, alone.attribute)
+        assert np.array_equal(finding.labels, alone.labels)
+    assert not np.array_equal(found[0].attribute, found[1].attribute)
 
 
 def test_the_result_says_which_method_made_it():

@@ -16,7 +16,7 @@ from gsc_jax.loop import LoopConfig, fit, fit_rendered, init, step, view_order
 from gsc_jax.method import ATTRIBUTES, METHODS
 from gsc_jax.tiles import make_view
 
-ATTRIBUTES_OF_SIX = np.array([[1.0], [1.0], [0.9], [0.1], [0.0], [0.0]], np.float32)
+ATTRIBUTES_OF_SIX = np.array([[1.0, 1.0, 0.9, 0.1, 0.0, 0.0]], np.float32)
 R = np.array([9.0, 9.0, 0.5, 0.5, -9.0, -9.0], np.float32)
 
 

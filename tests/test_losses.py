@@ -64,20 +64,20 @@ def test_no_gaussian_is_in_two_groups(r):
 
 
 def test_the_direction_points_to_the_nearer_mean():
-    attributes = jnp.array([[1.0, 0], [1, 0], [0.9, 0], [0.1, 0], [0, 0], [0, 0]])
+    attributes = jnp.array([[1.0, 0], [1, 0], [0.9, 0], [0.1, 0], [0, 0], [0, 0]]).T
     split = groups([0, 1], [2, 3], [4, 5])
     assert direction(attributes, split).tolist() == [0, 0, 1, -1, 0, 0]
     # One feature says high, the other low: the larger distance decides per Gaussian, they cancel
     # per feature.
-    mixed = jnp.array([[1.0, 0], [1, 0], [0.9, -3], [0.1, 3], [0, 0], [0, 0.5]])
+    mixed = jnp.array([[1.0, 0], [1, 0], [0.9, -3], [0.1, 3], [0, 0], [0, 0.5]]).T
     assert direction(mixed, split, per_feature=True).tolist() == [0, 0, 1, -1, 0, 0]
-    torn = mixed.at[2].set(jnp.array([0.9, 5.0]))
+    torn = mixed.at[:, 2].set(jnp.array([0.9, 5.0]))
     assert direction(torn, split, per_feature=True)[2] == 0
     assert direction(torn, split)[2] == -1
 
 
 def test_the_3d_loss_is_minus_the_mean_of_u_r_over_the_middle():
-    attributes = jnp.array([[1.0], [1.0], [0.9], [0.1], [0.0], [0.0]])
+    attributes = jnp.array([[1.0, 1.0, 0.9, 0.1, 0.0, 0.0]])
     split = groups([0, 1], [2, 3], [4, 5])
     r = jnp.array([9.0, 9.0, 0.5, 0.25, -9.0, -9.0])
     assert loss_3d(r, attributes, split) == pytest.approx(-(0.5 - 0.25) / 2)
@@ -96,7 +96,7 @@ def test_the_direction_is_the_sign_of_the_difference_of_squares(per_feature):
     )
     difference = sim_l - sim_h
     expected = np.sign(difference).mean(axis=1) if per_feature else np.sign(difference.sum(axis=1))
-    u = direction(attributes.astype(np.float32), split, per_feature=per_feature)
+    u = direction(attributes.T.astype(np.float32), split, per_feature=per_feature)
     np.testing.assert_allclose(u, np.where(split.middle, expected, 0), atol=1e-6)
 
 
@@ -106,7 +106,7 @@ def test_the_direction_is_the_sign_of_the_difference_of_squares(per_feature):
     "split", [([], [2, 3], [4, 5]), ([0, 1], [], [4, 5]), ([0, 1], [2, 3], []), ([], [], [])]
 )
 def test_an_empty_group_makes_the_3d_loss_zero_with_zero_gradient(split, per_feature):
-    attributes, r = jnp.ones((6, 3)), jnp.arange(6.0)
+    attributes, r = jnp.ones((3, 6)), jnp.arange(6.0)
     value, gradient = jax.value_and_grad(loss_3d)(
         r, attributes, groups(*split), per_feature=per_feature
     )
@@ -116,11 +116,11 @@ def test_an_empty_group_makes_the_3d_loss_zero_with_zero_gradient(split, per_fea
 
 def test_the_attributes_are_those_of_the_paper_and_of_the_released_code():
     scene = random_scene(5, degree=2)
-    assert paper_attributes(scene).shape == (5, 11 + 3 * 9)
+    assert paper_attributes(scene).shape == (11 + 3 * 9, 5)
     official = official_attributes(scene)
-    assert official.shape == (5, 14)
-    np.testing.assert_allclose(jnp.linalg.norm(official[:, 10:], axis=1), 1, rtol=1e-5)
-    np.testing.assert_allclose(official[:, 7:10], np.exp(scene.log_scales), rtol=1e-5)
+    assert official.shape == (14, 5)
+    np.testing.assert_allclose(jnp.linalg.norm(official[10:], axis=0), 1, rtol=1e-5)
+    np.testing.assert_allclose(official[7:10], np.exp(scene.log_scales).T, rtol=1e-5)
 
 
 @pytest.mark.usefixtures("nan_is_an_error")

@@ -1,0 +1,185 @@
+"""What every experiment looks at: scenes, edits of them with exact truth, and simulated detectors.
+
+A case is one edit of one scene: everything the methods and the metrics need, made from three
+numbers (scene, edit, seed), so that any row of any table can be made again.
+"""
+
+import dataclasses
+import functools
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from gsc_jax import load_cameras, load_ply
+from gsc_jax.benchmark.baselines import inverse
+from gsc_jax.benchmark.garden import garden_cameras, make_garden
+from gsc_jax.benchmark.metrics import mean_over_tampered_views, truth_mask
+from gsc_jax.benchmark.scenes import make_object, make_room, room_cameras
+from gsc_jax.benchmark.simulate import REGIMES, Failures, calibrated, decoy_labels, simulate
+from gsc_jax.benchmark.tamper import Edit, cut_object, tamper
+from gsc_jax.projection import project_centers
+from gsc_jax.scene import Camera, Gaussians
+from gsc_jax.vote import cast_votes, tally
+
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+REAL, MADE = ("kitchen", "playbot", "flowers"), ("room", "garden")
+OBJECTS = ("statue", "guitar", "plant")
+HELDOUT_EVERY = 4
+"""Of the cameras of a real scene, every fourth is kept for the metrics."""
+WIDTH, HEIGHT = 360, 270
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Scene:
+    """An untouched scene, with cameras for the methods and others for the metrics."""
+
+    name: str
+    gaussians: Gaussians
+    cameras: list[Camera]
+    heldout: list[Camera]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Case:
+    """One edit of one scene.
+
+    Attributes:
+        scene: The untouched scene.
+        edit: Kind of the edit, incorporation, modification, removal or none.
+        seed: What chance followed, in the edit and in the detectors.
+        gaussians: The edited scene.
+        labels: True where a Gaussian is tampered, shape (N,).
+        truth: Tampered pixels of the cameras, shape (V, H, W).
+        heldout_truth: Tampered pixels of the held-out cameras, shape (U, H, W).
+        decoy: An authentic region that a detector may take for tampered, shape (V, H, W).
+        description: The edit in a sentence.
+    """
+
+    scene: Scene
+    edit: str
+    seed: int
+    gaussians: Gaussians
+    labels: np.ndarray
+    truth: np.ndarray
+    heldout_truth: np.ndarray
+    decoy: np.ndarray
+    description: str
+
+    @property
+    def key(self) -> dict[str, object]:
+        """What names this case in a table."""
+        return {"scene": self.scene.name, "edit": self.edit, "seed": self.seed}
+
+
+def available(data: Path = DATA) -> tuple[str, ...]:
+    """The scenes that can be had here: the made ones always, the real ones if they are there."""
+    return (REAL if (data / "scenes").is_dir() else ()) + MADE
+
+
+@functools.lru_cache(maxsize=2)
+def load_scene(name: str, data: Path = DATA) -> Scene:
+    """A scene by name, its cameras split into those for the methods and those for the metrics."""
+    if name in MADE:
+        make, cameras_of = {
+            "room": (make_room, room_cameras),
+            "garden": (make_garden, garden_cameras),
+        }[name]
+        looked = cameras_of(18, width=WIDTH, height=HEIGHT)
+        heldout = cameras_of(6, width=WIDTH, height=HEIGHT, seed=1, prefix="heldout")
+        gaussians = make()
+    else:
+        cameras = load_cameras(data / "scenes" / f"{name}.cameras.json")
+        cameras = [camera.resized(WIDTH, HEIGHT) for camera in cameras]
+        heldout = cameras[HELDOUT_EVERY // 2 :: HELDOUT_EVERY]
+        looked = [c for i, c in enumerate(cameras) if i % HELDOUT_EVERY != HELDOUT_EVERY // 2]
+        gaussians = load_ply(data / "scenes" / f"{name}.ply")
+    return Scene(
+        name=name,
+        gaussians=jax.tree.map(np.asarray, gaussians),
+        cameras=looked,
+        heldout=heldout,
+    )
+
+
+def donor(scene: Scene, seed: int, data: Path = DATA) -> Gaussians:
+    """An object to paste: by seed a real one, the made vase, or a thing cut from another scene."""
+    made = functools.partial(make_object, seed=seed)
+    real = [functools.partial(load_ply, data / "objects" / f"{name}.ply") for name in OBJECTS]
+    others = [name for name in available(data) if name != scene.name]
+    elsewhere = load_scene(others[seed % len(others)], data)
+    cut = functools.partial(cut_object, elsewhere.gaussians, elsewhere.cameras, seed=seed)
+    choices: list[Callable[[], Gaussians]] = [*real, cut] if scene.name in REAL else [made, cut]
+    # Different scenes begin with different objects.
+    return choices[(seed + sum(scene.name.encode())) % len(choices)]()
+
+
+def make_case(name: str, edit: Edit, seed: int, data: Path = DATA) -> Case:
+    """Edit a scene and look at the truth from everywhere."""
+    scene = load_scene(name, data)
+    pasted = donor(scene, seed, data) if edit == "incorporation" else None
+    edited = tamper(scene.gaussians, scene.cameras, edit, donor=pasted, seed=seed)
+    gaussians, labels = jax.tree.map(jnp.asarray, edited.gaussians), edited.labels
+    decoy = decoy_labels(edited.gaussians, labels, seed=seed)
+    return Case(
+        scene=scene,
+        edit=edit,
+        seed=seed,
+        gaussians=gaussians,
+        labels=labels,
+        truth=_masks(gaussians, scene.cameras, labels),
+        heldout_truth=_masks(gaussians, scene.heldout, labels),
+        decoy=_masks(gaussians, scene.cameras, decoy),
+        description=edited.description,
+    )
+
+
+def untouched(name: str, seed: int, data: Path = DATA) -> Case:
+    """The case that nothing was done: no truth, but a region that looks suspicious."""
+    scene = load_scene(name, data)
+    imagined = make_case(name, "modification", seed, data)
+    gaussians = jax.tree.map(jnp.asarray, scene.gaussians)
+    return Case(
+        scene=scene,
+        edit="none",
+        seed=seed,
+        gaussians=gaussians,
+        labels=np.zeros(len(gaussians), bool),
+        truth=np.zeros_like(imagined.truth),
+        heldout_truth=np.zeros_like(imagined.heldout_truth),
+        decoy=imagined.truth,
+        description="untouched",
+    )
+
+
+def _masks(gaussians: Gaussians, cameras: list[Camera], labels: np.ndarray) -> np.ndarray:
+    return np.stack([truth_mask(gaussians, camera, labels) for camera in cameras])
+
+
+def detector_masks(case: Case, regimes: Mapping[str, Failures] = REGIMES) -> dict[str, np.ndarray]:
+    """What detectors with these failures say about the views of a case: (V, H, W) by regime."""
+    return {
+        regime: simulate(case.truth, case.decoy, seed=_seed(case, regime), failures=failures) > 0.5
+        for regime, failures in regimes.items()
+    }
+
+
+def calibrated_mixture(case: Case) -> Failures:
+    """The mixture, so strong that the naive inverse projection keeps an F1 of 0.1 to 0.4."""
+    centers = [project_centers(case.gaussians.means, c.viewmat, c.K) for c in case.scene.cameras]
+
+    def inverse_f1(failures: Failures) -> float:
+        masks = detector_masks(case, {"mixture": failures})["mixture"]
+        votes = [cast_votes(*place, mask) for place, mask in zip(centers, masks, strict=True)]
+        labels = inverse(tally(jnp.stack(votes)))
+        flagged = _masks(case.gaussians, case.scene.heldout, labels)
+        return mean_over_tampered_views(list(flagged), list(case.heldout_truth)).f1
+
+    return calibrated(REGIMES["mixture"], inverse_f1)
+
+
+def _seed(case: Case, regime: str) -> int:
+    # From the names, so that a regime fails alike whichever others are looked at.
+    return int.from_bytes(f"{case.scene.name} {case.edit} {case.seed} {regime}".encode()) % 2**63

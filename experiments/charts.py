@@ -1,0 +1,82 @@
+"""The charts of the experiments, in colours that everybody can tell apart."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from tables import Row, mean, spread, values_of, where
+
+from gsc_jax.io.files import atomic
+
+mpl.use("Agg")
+from matplotlib import pyplot as plt
+
+COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#999999")
+"""Okabe and Ito's palette."""
+MARKERS = "osD^vP*Xph<>"
+
+
+def save(figure: Any, path: Path) -> None:
+    """Write a figure under a temporary name, rename it, and forget it."""
+    with atomic(path) as temporary:
+        figure.savefig(temporary, dpi=130, format="png")
+    plt.close(figure)
+
+
+def grid(rows: Sequence[Row], path: Path, *, panels: str = "edit", across: str = "regime") -> None:
+    """Mean F1 as numbers on colours: methods down, a panel for each kind of edit."""
+    names, titles, columns = (values_of(rows, key) for key in ("method", panels, across))
+    size = (1.9 + 0.62 * len(columns) * len(titles), 1.4 + 0.3 * len(names))
+    figure, axes = plt.subplots(1, len(titles), figsize=size, squeeze=False, layout="constrained")
+    for axis, title in zip(axes[0], titles, strict=True):
+        values = [
+            [mean(where(rows, **{"method": n, across: c, panels: title})) for c in columns]
+            for n in names
+        ]
+        axis.imshow(values, cmap="cividis", vmin=0, vmax=1, aspect="auto")
+        for (y, x), value in np.ndenumerate(np.array(values)):
+            color = "white" if value < 0.55 else "black"
+            text = "-" if np.isnan(value) else f"{value:.2f}"
+            axis.text(x, y, text, ha="center", va="center", fontsize=7.5, color=color)
+        axis.set_title(title, fontsize=10)
+        axis.set_xticks(range(len(columns)), columns, rotation=40, ha="right", fontsize=8)
+        axis.set_yticks(range(len(names)), names if axis is axes[0, 0] else [], fontsize=8)
+    save(figure, path)
+
+
+def curves(
+    panels: Mapping[str, Sequence[Row]],
+    path: Path,
+    *,
+    x: str,
+    metric: str = "f1",
+    labels: tuple[str, str],
+    columns: int = 3,
+    log: bool = False,
+) -> None:
+    """A metric against a number: a panel per title, a line per method, its spread over seeds."""
+    names = list(dict.fromkeys(row["method"] for rows in panels.values() for row in rows))
+    count = -(-len(panels) // columns)
+    size = (4.0 * min(columns, len(panels)), 3.0 * count + 0.7)
+    figure, axes = plt.subplots(
+        count, min(columns, len(panels)), figsize=size, squeeze=False, layout="constrained"
+    )
+    for axis in axes.flat[len(panels) :]:
+        axis.set_visible(False)
+    for axis, (title, rows) in zip(axes.flat, panels.items(), strict=False):
+        for k, name in enumerate(names):
+            points = sorted(values_of(where(rows, method=name), x))
+            chosen = [where(rows, method=name, **{x: point}) for point in points]
+            middle = np.array([mean(some, metric) for some in chosen])
+            around = np.array([spread(some, metric) for some in chosen])
+            color, style = COLORS[k % len(COLORS)], "-" if k < len(COLORS) else "--"
+            axis.plot(points, middle, style, marker=MARKERS[k], ms=4, color=color, label=name)
+            axis.fill_between(points, middle - around, middle + around, color=color, alpha=0.12)
+        axis.set(title=title, xlabel=labels[0], ylabel=labels[1], ylim=(-0.03, 1.03))
+        if log:
+            axis.set_xscale("log")
+        axis.grid(visible=True, alpha=0.25)
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    save(figure, path)

@@ -1,0 +1,292 @@
+"""The runner of the experiments: look once, let every method judge the same evidence, score it.
+
+Every experiment is a list of cases, a set of mask sets per case ("regimes") and a set of methods.
+The blending weights of a view serve all regimes at once, and one composite of all answers as
+channels scores them in a held-out view.
+"""
+
+import dataclasses
+import functools
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from cases import DATA, Case, available, make_case
+from tables import Row
+from tqdm import tqdm
+
+from gsc_jax.benchmark.baselines import (
+    SA3D_LEVEL,
+    flashsplat,
+    inverse,
+    mode_vote,
+    sa3d,
+    sagd_vote,
+)
+from gsc_jax.benchmark.metrics import auc, confusion, false_positive_area, mean_over_tampered_views
+from gsc_jax.benchmark.tamper import EDITS, Edit
+from gsc_jax.decide import MIN_COVERAGE
+from gsc_jax.evidence import Evidence
+from gsc_jax.method import METHODS, MethodConfig, find
+from gsc_jax.observe import Observation
+from gsc_jax.projection import project_centers
+from gsc_jax.scene import Camera, Gaussians
+from gsc_jax.splat import accumulate, composite, composite_with_alpha
+from gsc_jax.tiles import View, make_view
+from gsc_jax.vote import cast_votes, no_votes, tally
+
+CHANNELS = 32
+"""Answers composited at once."""
+TRUTH = "true labels"
+"""The upper bound: what the rule that makes masks of labels leaves of the truth."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Args:
+    """What an experiment covers, and where its tables go.
+
+    Attributes:
+        quick: A small run, in minutes, whose numbers mean little: to see that all of it works.
+        out: Folder of results.md, the charts and the tables.
+        data: The real scenes; without them only made scenes are used.
+        scenes: Which scenes; all that are there by default.
+        edits: Which kinds of edit.
+        seeds: How many seeds per scene and edit.
+    """
+
+    quick: bool = False
+    out: Path = Path("docs")
+    data: Path = DATA
+    scenes: tuple[str, ...] = ()
+    edits: tuple[Edit, ...] = EDITS
+    seeds: int = 3
+
+    def cases(
+        self, edits: Sequence[Edit] | None = None, seeds: int | None = None
+    ) -> Iterator[Case]:
+        """The cases covered, scene by scene; in a quick run one edit of one made scene each."""
+        scenes = ("room",) if self.quick else self.scenes or available(self.data)
+        count = 1 if self.quick else seeds or self.seeds
+        jobs = [(s, e, k) for s in scenes for e in edits or self.edits for k in range(count)]
+        for scene, edit, seed in tqdm(jobs, desc="cases", disable=None):
+            yield make_case(scene, edit, seed, self.data)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Look:
+    """What one set of masks makes of a case: all that a method may know.
+
+    Attributes:
+        case: The case; its truth is for the metrics, and for the upper bound.
+        regime: Name of the mask set.
+        observation: Evidence, votes and masks.
+        views: The views, for the method that has to render.
+        seconds: What the looking took, shared by all regimes.
+    """
+
+    case: Case
+    regime: str
+    observation: Observation
+    views: list[View]
+    seconds: float
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Answer:
+    """What a method says: flagged in a view is where the rendered feature / alpha > level.
+
+    Attributes:
+        score: A number per Gaussian, larger where more tampered, shape (N,).
+        labels: Tampered Gaussians, shape (N,).
+        feature: What is rendered, shape (N,); by default the labels.
+        level: Above which a pixel is tampered.
+        absolute: Do not divide by alpha.
+    """
+
+    score: np.ndarray
+    labels: np.ndarray
+    feature: np.ndarray | None = None
+    level: float = 0.5
+    absolute: bool = False
+
+    @property
+    def rendered(self) -> np.ndarray:
+        """The feature, or the labels where there is none."""
+        return np.asarray(self.labels if self.feature is None else self.feature, np.float32)
+
+
+Method = Callable[[Look], Answer]
+
+
+def look(
+    case: Case, masks: Mapping[str, np.ndarray], gaussians: Gaussians | None = None
+) -> dict[str, Look]:
+    """Lift every set of masks (V, H, W) of a case, the blending weights computed once.
+
+    `gaussians` stand in for the edited scene where that itself was distorted.
+    """
+    gaussians = case.gaussians if gaussians is None else gaussians
+    cameras, names = case.scene.cameras, list(masks)
+    start = time.perf_counter()
+    views = [make_view(gaussians, camera) for camera in cameras]
+    total = np.zeros((len(cameras), len(gaussians)), np.float32)
+    tampered = np.zeros((len(names), *total.shape), np.float32)
+    votes = dict.fromkeys(names, no_votes(len(gaussians)))
+    for j, (camera, view) in enumerate(zip(cameras, views, strict=True)):
+        flagged = np.stack([masks[name][j] for name in names])
+        maps = jnp.asarray(np.concatenate([np.ones_like(flagged[:1]), flagged]), jnp.float32)
+        sums = np.asarray(accumulate(view, jnp.moveaxis(maps, 0, -1))).T
+        total[j], tampered[:, j] = sums[0], np.minimum(sums[1:], sums[:1])
+        centers, depths = project_centers(gaussians.means, camera.viewmat, camera.K)
+        for name, mask in zip(names, flagged, strict=True):
+            votes[name] += tally(cast_votes(centers, depths, mask)[None])
+    seconds = time.perf_counter() - start
+    return {
+        name: Look(
+            case=case,
+            regime=name,
+            observation=Observation(
+                evidence=Evidence(total=total, tampered=tampered[k]),
+                votes=votes[name],
+                masks=dict(zip([c.name for c in cameras], masks[name], strict=True)),
+                detections={},
+            ),
+            views=views,
+            seconds=seconds,
+        )
+        for k, name in enumerate(names)
+    }
+
+
+def labelled(labels: np.ndarray) -> Answer:
+    """The answer of a method that only labels."""
+    labels = np.asarray(labels)
+    return Answer(score=labels.astype(np.float32), labels=labels)
+
+
+def checker(config: MethodConfig) -> Method:
+    """GS-Checker under a configuration; its labels, as those of all, are rendered as shares."""
+
+    def method(look: Look) -> Answer:
+        seeded = dataclasses.replace(config, seed=look.case.seed)
+        found = find(look.case.gaussians, look.case.scene.cameras, look.observation, seeded)
+        return Answer(score=found.attribute, labels=found.labels)
+
+    return method
+
+
+def without_3d(config: MethodConfig) -> MethodConfig:
+    """The configuration with no 3D contrastive loss."""
+    return dataclasses.replace(config, loop=dataclasses.replace(config.loop, gamma=0.0))
+
+
+def _sa3d(look: Look, *, gate: bool) -> Answer:
+    masks = list(look.observation.masks.values())
+
+    def overlap(index: int, r: np.ndarray) -> float:
+        rendered = np.asarray(composite(look.views[index], jnp.asarray(r)[:, None]))[..., 0]
+        return confusion(rendered, masks[index]).iou
+
+    r = sa3d(look.observation.evidence, overlap=overlap if gate else None)
+    return Answer(score=r, labels=r > 0, feature=r, level=SA3D_LEVEL, absolute=True)
+
+
+def _flashsplat(look: Look, *, gamma: float) -> Answer:
+    evidence = look.observation.evidence
+    total, tampered = (np.sum(part, axis=0) for part in (evidence.total, evidence.tampered))
+    share = tampered / np.where(total > 0, total, 1)
+    return Answer(score=share, labels=flashsplat(evidence, gamma=gamma))
+
+
+def _share_of_votes(look: Look) -> np.ndarray:
+    votes = look.observation.votes
+    cast = np.asarray(votes.tampered + votes.authentic)
+    return np.asarray(votes.tampered) / np.maximum(cast, 1)
+
+
+def _voted(rule: Callable[..., np.ndarray]) -> Method:
+    def method(look: Look) -> Answer:
+        return Answer(score=_share_of_votes(look), labels=rule(look.observation.votes))
+
+    return method
+
+
+ALL_METHODS: Mapping[str, Method] = {
+    "inverse projection": _voted(inverse),
+    "mode vote": _voted(mode_vote),
+    "SAGD vote": _voted(sagd_vote),
+    "SA3D": functools.partial(_sa3d, gate=False),
+    "SA3D, gate": functools.partial(_sa3d, gate=True),
+    "FlashSplat": functools.partial(_flashsplat, gamma=0.0),
+    "FlashSplat, gamma 0.4": functools.partial(_flashsplat, gamma=0.4),
+    "GS-Checker official": checker(METHODS["official"]),
+    "GS-Checker official, no 3D loss": checker(without_3d(METHODS["official"])),
+    "GS-Checker paper": checker(METHODS["paper"]),
+}
+"""Every method of the tables; all but SA3D, which renders its score, are judged by their labels."""
+
+
+def judge(looks: Mapping[str, Look], methods: Mapping[str, Method] = ALL_METHODS) -> Iterator[Row]:
+    """A row per regime and method, and one for the true labels, scored on the held-out views."""
+    case = next(iter(looks.values())).case
+    answers: dict[tuple[str, str], Answer] = {}
+    seconds: dict[tuple[str, str], float] = {}
+    for regime, one in looks.items():
+        answers[regime, TRUTH], seconds[regime, TRUTH] = labelled(case.labels), 0.0
+        for name, method in methods.items():
+            start = time.perf_counter()
+            answers[regime, name] = method(one)
+            seconds[regime, name] = time.perf_counter() - start
+    masks = heldout_masks(case.gaussians, case.scene.heldout, list(answers.values()))
+    for (regime, name), predicted in zip(answers, masks, strict=True):
+        yield {
+            **case.key,
+            "regime": regime,
+            "method": name,
+            **scores(case, answers[regime, name], predicted),
+            "seconds": round(seconds[regime, name], 3),
+        }
+
+
+def heldout_masks(
+    gaussians: Gaussians, cameras: Sequence[Camera], answers: Sequence[Answer]
+) -> list[np.ndarray]:
+    """Tampered pixels per answer, each (U, H, W): all answers are channels of one composite."""
+    views = [_flagged(make_view(gaussians, camera), answers) for camera in cameras]
+    return [np.stack([view[k] for view in views]) for k in range(len(answers))]
+
+
+def _flagged(view: View, answers: Sequence[Answer]) -> np.ndarray:
+    """Tampered pixels of a view, shape (answers, H, W)."""
+    flagged = []
+    for start in range(0, len(answers), CHANNELS):
+        some = answers[start : start + CHANNELS]
+        features = np.zeros((len(some[0].labels), CHANNELS), np.float32)
+        features[:, : len(some)] = np.stack([answer.rendered for answer in some], axis=1)
+        image, alpha = map(np.asarray, composite_with_alpha(view, jnp.asarray(features)))
+        covered = alpha > MIN_COVERAGE
+        for k, answer in enumerate(some):
+            scale = 1.0 if answer.absolute else alpha
+            flagged.append(covered & (image[..., k] > answer.level * scale))
+    return np.stack(flagged)
+
+
+def scores(case: Case, answer: Answer, predicted: np.ndarray) -> dict[str, float]:
+    """Per view over the held-out views, and per Gaussian weighted by opacity."""
+    truth = case.heldout_truth
+    views = mean_over_tampered_views(list(predicted), list(truth))
+    weights = np.asarray(jax.nn.sigmoid(jnp.asarray(case.gaussians.logit_opacities)))
+    elsewhere = false_positive_area([p & ~t for p, t in zip(predicted, truth, strict=True)])
+    values = {
+        "f1": views.f1,
+        "iou": views.iou,
+        "precision": views.precision,
+        "recall": views.recall,
+        "f1_gaussians": confusion(answer.labels, case.labels, weights=weights).f1,
+        "auc": auc(answer.score, case.labels),
+        "false_area": float(elsewhere.mean()),
+    }
+    return {name: round(value, 4) for name, value in values.items()}

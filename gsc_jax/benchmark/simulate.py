@@ -2,7 +2,10 @@
 
 The detectors of the field miss the object, flag blobs, flag the same authentic thing from all
 sides, return the complement and draw ragged edges. Each failure has a strength in `Failures`, so
-that a method can be tested against one at a time; `REGIMES` names the settings that are reported.
+that a method can be tested against one at a time. `REGIMES` names the settings that are reported,
+`PROFILES` detectors with a character, and `calibrated` finds the strength at which a setting hurts
+as much as real detectors do: in the paper's Table 1 the naive inverse projection of their masks
+reaches an F1 between 0.1 and 0.4.
 
 A mask is handled as its signed distance in pixels, positive inside: regions unite by the maximum,
 an edge becomes ragged by adding smooth noise, and a logistic turns distance into probability. With
@@ -10,10 +13,16 @@ no failures, probability > 0.5 is exactly the truth.
 """
 
 import dataclasses
+import math
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
 from gsc_jax.scene import Gaussians
+
+SHARES = "misses", "decoy", "inverted"
+STRENGTHS = 0.25, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0
+"""What `calibrated` tries: half an octave apart."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -39,15 +48,35 @@ class Failures:
     softness: float = 1.5
 
     def __post_init__(self) -> None:
-        for name in ("misses", "decoy", "inverted"):
+        for name in SHARES:
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"{name} is a share of the views, got {getattr(self, name)}")
         for name in ("boundary", "blobs", "blob_size", "softness"):
             if getattr(self, name) < 0:
                 raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
 
+    def scaled(self, strength: float) -> "Failures":
+        """The same detector, failing more or less.
 
-REGIMES = {
+        Args:
+            strength: 0 is a detector without failures, 1 this one. Multiplies every failure, shares
+                up to 1; `softness` and `blob_size` say what a mask looks like and stay.
+
+        Returns:
+            The other detector.
+
+        Raises:
+            ValueError: if the strength is negative or not finite.
+        """
+        if not 0 <= strength < math.inf:
+            raise ValueError(f"strength must be a number of at least 0, got {strength}")
+        shares = {name: min(1.0, strength * getattr(self, name)) for name in SHARES}
+        return dataclasses.replace(
+            self, boundary=strength * self.boundary, blobs=strength * self.blobs, **shares
+        )
+
+
+REGIMES: Mapping[str, Failures] = {
     "clean": Failures(),
     "boundary": Failures(boundary=4.0),
     "misses": Failures(misses=0.4),
@@ -57,6 +86,56 @@ REGIMES = {
     "mixture": Failures(boundary=3.0, misses=0.25, blobs=0.5, decoy=0.5, inverted=0.1),
 }
 """The reported detectors: one failure each, and a mixture of all."""
+
+PROFILES: Mapping[str, Failures] = {
+    "picks the wrong side": Failures(inverted=0.4, boundary=1.0, softness=0.3),
+    "coarse patches": Failures(boundary=9.0, misses=0.1, softness=8.0),
+    "over-eager": Failures(boundary=2.0, blobs=3.0, blob_size=0.06, decoy=0.8),
+    "shy": Failures(boundary=2.0, misses=0.65, softness=3.0),
+}
+"""Detectors with a character, called by what they do: one that splits the image sharply in two and
+names the parts at random, one that classifies patches, one that flags too much, one too little."""
+
+
+def calibrated(
+    failures: Failures,
+    score: Callable[[Failures], float],
+    *,
+    low: float = 0.1,
+    high: float = 0.4,
+    strengths: Sequence[float] = STRENGTHS,
+) -> Failures:
+    """A detector as bad as real ones: scaled until the naive method scores as theirs does.
+
+    Args:
+        failures: The detector to scale.
+        score: F1 of the naive inverse projection, under masks simulated with such failures. Asked
+            from the strength next to 1 outwards, and no more once one fits.
+        low: Least F1 that fits.
+        high: Greatest F1 that fits.
+        strengths: What is tried, all above 0.
+
+    Returns:
+        The failures at the strength nearest to 1, as a ratio, whose score fits; of two equally
+        near the weaker. If none fits, those whose score comes nearest.
+
+    Raises:
+        ValueError: if there are no such strengths, the bounds are not in order, or a score is NaN.
+    """
+    if not (len(strengths) and min(strengths) > 0 and low <= high):
+        raise ValueError(
+            f"expected strengths above 0 and low <= high, got {strengths}, {low} and {high}"
+        )
+    missed = {}
+    # Rounded, so that 0.5 and 2 are equally near whatever their logarithms round to.
+    for strength in sorted(strengths, key=lambda s: (round(abs(math.log(s)), 9), s)):
+        f1 = score(failures.scaled(strength))
+        if math.isnan(f1):
+            raise ValueError(f"the score at strength {strength} is NaN; is any view tampered?")
+        missed[strength] = max(low - f1, f1 - high, 0.0)
+        if not missed[strength]:
+            break
+    return failures.scaled(min(missed, key=missed.__getitem__))
 
 
 def simulate(

@@ -6,7 +6,7 @@ numbers (scene, edit, seed), so that any row of any table can be made again.
 
 import dataclasses
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import jax
@@ -19,17 +19,23 @@ from gsc_jax.benchmark.garden import garden_cameras, make_garden
 from gsc_jax.benchmark.metrics import mean_over_tampered_views, truth_mask
 from gsc_jax.benchmark.scenes import make_object, make_room, room_cameras
 from gsc_jax.benchmark.simulate import REGIMES, Failures, calibrated, decoy_labels, simulate
-from gsc_jax.benchmark.tamper import Edit, cut_object, tamper
+from gsc_jax.benchmark.tamper import Edit, Tampered, cut_object, tamper
+from gsc_jax.detection import Detector, fit_to_view
+from gsc_jax.errors import InputError
 from gsc_jax.projection import project_centers
 from gsc_jax.scene import Camera, Gaussians
+from gsc_jax.splat import render
 from gsc_jax.vote import cast_votes, tally
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 REAL, MADE = ("kitchen", "playbot", "flowers"), ("room", "garden")
+QUICK = "small room"
+"""What a quick run looks at: a tenth of the work."""
 OBJECTS = ("statue", "guitar", "plant")
 HELDOUT_EVERY = 4
 """Of the cameras of a real scene, every fourth is kept for the metrics."""
 WIDTH, HEIGHT = 360, 270
+RETRIES = 3
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -82,26 +88,24 @@ def available(data: Path = DATA) -> tuple[str, ...]:
 @functools.lru_cache(maxsize=2)
 def load_scene(name: str, data: Path = DATA) -> Scene:
     """A scene by name, its cameras split into those for the methods and those for the metrics."""
-    if name in MADE:
-        make, cameras_of = {
-            "room": (make_room, room_cameras),
-            "garden": (make_garden, garden_cameras),
-        }[name]
-        looked = cameras_of(18, width=WIDTH, height=HEIGHT)
-        heldout = cameras_of(6, width=WIDTH, height=HEIGHT, seed=1, prefix="heldout")
-        gaussians = make()
-    else:
-        cameras = load_cameras(data / "scenes" / f"{name}.cameras.json")
-        cameras = [camera.resized(WIDTH, HEIGHT) for camera in cameras]
-        heldout = cameras[HELDOUT_EVERY // 2 :: HELDOUT_EVERY]
-        looked = [c for i, c in enumerate(cameras) if i % HELDOUT_EVERY != HELDOUT_EVERY // 2]
-        gaussians = load_ply(data / "scenes" / f"{name}.ply")
-    return Scene(
-        name=name,
-        gaussians=jax.tree.map(np.asarray, gaussians),
-        cameras=looked,
-        heldout=heldout,
-    )
+    gaussians, looked, heldout = _made(name) if name in (*MADE, QUICK) else _real(name, data)
+    gaussians = jax.tree.map(np.asarray, gaussians)
+    return Scene(name=name, gaussians=gaussians, cameras=looked, heldout=heldout)
+
+
+def _made(name: str) -> tuple[Gaussians, list[Camera], list[Camera]]:
+    make, cameras = (make_garden, garden_cameras) if name == "garden" else (make_room, room_cameras)
+    count, views, shrink = (10_000, 8, 3) if name == QUICK else (50_000, 18, 1)
+    view = functools.partial(cameras, width=WIDTH // shrink, height=HEIGHT // shrink)
+    return make(count=count), view(views), view(views // 3, seed=1, prefix="heldout")
+
+
+def _real(name: str, data: Path) -> tuple[Gaussians, list[Camera], list[Camera]]:
+    cameras = load_cameras(data / "scenes" / f"{name}.cameras.json")
+    cameras = [camera.resized(WIDTH, HEIGHT) for camera in cameras]
+    heldout = cameras[HELDOUT_EVERY // 2 :: HELDOUT_EVERY]
+    looked = [c for i, c in enumerate(cameras) if i % HELDOUT_EVERY != HELDOUT_EVERY // 2]
+    return load_ply(data / "scenes" / f"{name}.ply"), looked, heldout
 
 
 def donor(scene: Scene, seed: int, data: Path = DATA) -> Gaussians:
@@ -120,7 +124,7 @@ def make_case(name: str, edit: Edit, seed: int, data: Path = DATA) -> Case:
     """Edit a scene and look at the truth from everywhere."""
     scene = load_scene(name, data)
     pasted = donor(scene, seed, data) if edit == "incorporation" else None
-    edited = tamper(scene.gaussians, scene.cameras, edit, donor=pasted, seed=seed)
+    edited = _edited(scene, edit, pasted, seed)
     gaussians, labels = jax.tree.map(jnp.asarray, edited.gaussians), edited.labels
     decoy = decoy_labels(edited.gaussians, labels, seed=seed)
     return Case(
@@ -134,6 +138,19 @@ def make_case(name: str, edit: Edit, seed: int, data: Path = DATA) -> Case:
         decoy=_masks(gaussians, scene.cameras, decoy),
         description=edited.description,
     )
+
+
+def _edited(scene: Scene, edit: Edit, pasted: Gaussians | None, seed: int) -> Tampered:
+    """The edit of this seed, or of the next hundredth one for which the scene has a place."""
+    for retry in range(RETRIES + 1):
+        try:
+            return tamper(
+                scene.gaussians, scene.cameras, edit, donor=pasted, seed=seed + 100 * retry
+            )
+        except InputError:
+            if retry == RETRIES:
+                raise
+    raise AssertionError("unreachable")
 
 
 def untouched(name: str, seed: int, data: Path = DATA) -> Case:
@@ -164,6 +181,13 @@ def detector_masks(case: Case, regimes: Mapping[str, Failures] = REGIMES) -> dic
         regime: simulate(case.truth, case.decoy, seed=_seed(case, regime), failures=failures) > 0.5
         for regime, failures in regimes.items()
     }
+
+
+def masks_of(detector: Detector, gaussians: Gaussians, cameras: Sequence[Camera]) -> np.ndarray:
+    """What a detector that looks at pixels flags in renders of a scene, shape (V, H, W)."""
+    images = [np.asarray(render(gaussians, camera)[0]) for camera in cameras]
+    pairs = zip(images, cameras, strict=True)
+    return np.stack([fit_to_view(detector(image, c), c) > 0.5 for image, c in pairs])
 
 
 def calibrated_mixture(case: Case) -> Failures:

@@ -80,3 +80,41 @@ def curves(
         axis.grid(visible=True, alpha=0.25)
     figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     save(figure, path)
+
+
+def pareto(points: Sequence[Row], front: Mapping[str, Row], path: Path) -> None:
+    """F1 against seconds, and a line through what no faster point equals, by label.
+
+    A colour per method, hollow for its variants; a marker per number of views; size is scale; where
+    there is a choice of epochs, their number stands beside.
+    """
+    figure, axis = plt.subplots(figsize=(10.5, 6.5), layout="constrained")
+    names, views, scales = (values_of(points, key) for key in ("method", "views", "scale"))
+    views.sort()
+    bases = list(dict.fromkeys(name.split(",")[0] for name in names))
+
+    def draw(x: float, y: float, name: str, k: int = 0, scale: float = 0.5, **style: Any) -> Any:
+        color = COLORS[bases.index(name.split(",")[0])] if name else "#444444"
+        face, size = "none" if "," in name else color, 12 + 70 * scale
+        style = {"fc": face, "ec": color, "marker": MARKERS[k], "s": size, **style}
+        return axis.scatter(x, y, alpha=0.75, linewidths=1.2, **style)
+
+    for p in points:
+        at = p["seconds"], p["f1"]
+        draw(*at, p["method"], views.index(p["views"]), p["scale"])
+        axis.annotate(p["epochs"], at, (5, -3), textcoords="offset points", fontsize=6.5)
+    away = float("nan"), float("nan")
+    handles = [draw(*away, name, label=name) for name in names]
+    handles += [draw(*away, "", k, label=f"{view} views") for k, view in enumerate(views)]
+    handles += [draw(*away, "", scale=scale, label=f"scale {scale:g}") for scale in scales]
+    x, y = ([point[key] for point in front.values()] for key in ("seconds", "f1"))
+    last = max(values_of(points, "seconds"))
+    axis.step([*x, last], [*y, y[-1]], where="post", color="black", lw=1)
+    for k, (label, p) in enumerate(front.items(), start=1):
+        at = p["seconds"], p["f1"]
+        axis.annotate(str(k), at, (-4, 7), textcoords="offset points", ha="right", fontsize=9)
+        handles += axis.plot([], [], " ", label=f"{k}: {label}")
+    axis.set(xscale="log", xlabel="seconds after the detector", ylabel="F1", ylim=(-0.03, 1.03))
+    axis.grid(visible=True, alpha=0.25)
+    figure.legend(handles=handles, loc="outside right center", fontsize=8)
+    save(figure, path)

@@ -14,7 +14,7 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
-from cases import DATA, Case, available, make_case
+from cases import DATA, QUICK, Case, available, make_case
 from tables import Row
 from tqdm import tqdm
 
@@ -24,11 +24,13 @@ from gsc_jax.benchmark.baselines import (
     inverse,
     mode_vote,
     sa3d,
+    sagd_boundary,
     sagd_vote,
 )
 from gsc_jax.benchmark.metrics import auc, confusion, false_positive_area, mean_over_tampered_views
 from gsc_jax.benchmark.tamper import EDITS, Edit
 from gsc_jax.decide import MIN_COVERAGE
+from gsc_jax.detection import fit_to_view
 from gsc_jax.evidence import Evidence
 from gsc_jax.method import METHODS, MethodConfig, find
 from gsc_jax.observe import Observation
@@ -68,11 +70,18 @@ class Args:
         self, edits: Sequence[Edit] | None = None, seeds: int | None = None
     ) -> Iterator[Case]:
         """The cases covered, scene by scene; in a quick run one edit of one made scene each."""
-        scenes = ("room",) if self.quick else self.scenes or available(self.data)
+        scenes = (QUICK,) if self.quick else self.scenes or available(self.data)
         count = 1 if self.quick else seeds or self.seeds
         jobs = [(s, e, k) for s in scenes for e in edits or self.edits for k in range(count)]
         for scene, edit, seed in tqdm(jobs, desc="cases", disable=None):
             yield make_case(scene, edit, seed, self.data)
+
+    def one_edit_each(self) -> Iterator[Case]:
+        """The cases of an experiment that is long: one kind of edit per scene, taking turns."""
+        for k, scene in enumerate(self.scenes or available(self.data)):
+            if not (self.quick and k):
+                one = dataclasses.replace(self, scenes=(scene,))
+                yield from one.cases([self.edits[k % len(self.edits)]])
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -104,6 +113,7 @@ class Answer:
         feature: What is rendered, shape (N,); by default the labels.
         level: Above which a pixel is tampered.
         absolute: Do not divide by alpha.
+        gaussians: The scene as a method leaves it that cuts Gaussians; by default the case's.
     """
 
     score: np.ndarray
@@ -111,6 +121,7 @@ class Answer:
     feature: np.ndarray | None = None
     level: float = 0.5
     absolute: bool = False
+    gaussians: Gaussians | None = None
 
     @property
     def rendered(self) -> np.ndarray:
@@ -159,6 +170,23 @@ def look(
         )
         for k, name in enumerate(names)
     }
+
+
+def reduced(
+    case: Case, masks: Mapping[str, np.ndarray], views: int, scale: float = 1.0
+) -> tuple[Case, dict[str, np.ndarray]]:
+    """The case with fewer cameras, evenly spread, and smaller images, and the masks there."""
+    total = len(case.scene.cameras)
+    chosen = [k * total // views for k in range(views)]
+    cameras = [case.scene.cameras[k].scaled(scale) for k in chosen]
+    smaller = {
+        name: np.stack(
+            [fit_to_view(mask[k], c) > 0.5 for k, c in zip(chosen, cameras, strict=True)]
+        )
+        for name, mask in masks.items()
+    }
+    scene = dataclasses.replace(case.scene, cameras=cameras)
+    return dataclasses.replace(case, scene=scene), smaller
 
 
 def labelled(labels: np.ndarray) -> Answer:
@@ -214,6 +242,15 @@ def _voted(rule: Callable[..., np.ndarray]) -> Method:
     return method
 
 
+def sagd(look: Look) -> Answer:
+    """SAGD with its boundary decomposition, folded over the views: too slow for every regime."""
+    case, labels = look.case, sagd_vote(look.observation.votes)
+    gaussians, masks = case.gaussians, look.observation.masks
+    for camera in case.scene.cameras if labels.any() else []:
+        gaussians = sagd_boundary(gaussians, labels, camera, masks[camera.name])
+    return Answer(score=_share_of_votes(look), labels=labels, gaussians=gaussians)
+
+
 ALL_METHODS: Mapping[str, Method] = {
     "inverse projection": _voted(inverse),
     "mode vote": _voted(mode_vote),
@@ -254,9 +291,18 @@ def judge(looks: Mapping[str, Look], methods: Mapping[str, Method] = ALL_METHODS
 def heldout_masks(
     gaussians: Gaussians, cameras: Sequence[Camera], answers: Sequence[Answer]
 ) -> list[np.ndarray]:
-    """Tampered pixels per answer, each (U, H, W): all answers are channels of one composite."""
-    views = [_flagged(make_view(gaussians, camera), answers) for camera in cameras]
-    return [np.stack([view[k] for view in views]) for k in range(len(answers))]
+    """Tampered pixels per answer, each (U, H, W); answers on one scene share a composite."""
+    masks: list[np.ndarray] = [np.zeros(0)] * len(answers)
+    for scene in {id(answer.gaussians): answer.gaussians for answer in answers}.values():
+        own = [k for k, answer in enumerate(answers) if answer.gaussians is scene]
+        some = [answers[k] for k in own]
+        views = [
+            _flagged(make_view(gaussians if scene is None else scene, camera), some)
+            for camera in cameras
+        ]
+        for k, mask in zip(own, np.stack(views, axis=1), strict=True):
+            masks[k] = mask
+    return masks
 
 
 def _flagged(view: View, answers: Sequence[Answer]) -> np.ndarray:

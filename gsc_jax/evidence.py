@@ -4,6 +4,9 @@ The 2D loss is linear in the attribute, so its gradient W^t (lambda2 (1 - M) - l
 of these two sums and never changes: with them, the whole optimisation needs no more rendering.
 """
 
+import functools
+import tempfile
+
 import jax.numpy as jnp
 import numpy as np
 
@@ -11,6 +14,9 @@ from gsc_jax.pytree import pytree
 from gsc_jax.scene import Array
 from gsc_jax.splat import accumulate
 from gsc_jax.tiles import View
+
+IN_MEMORY = 2**30
+"""Bytes of evidence that are kept in memory."""
 
 
 @pytree
@@ -29,7 +35,44 @@ class Evidence:
     def seen(self) -> np.ndarray:
         """Gaussians that contribute to some pixel of some view, shape (N,)."""
         total = np.asarray(self.total)
-        return np.any(total.reshape(-1, total.shape[-1]) > 0, axis=0)
+        views = total.reshape(-1, total.shape[-1])
+        # View by view, as everywhere: what is kept on disk is never in memory all at once.
+        nowhere = np.zeros(views.shape[1], bool)
+        return functools.reduce(np.logical_or, (view > 0 for view in views), nowhere)
+
+    @property
+    def says_nothing(self) -> bool:
+        """Whether no view flags anything that it sees."""
+        return not any(np.any(view) for view in np.asarray(self.tampered))
+
+    @property
+    def says_everything(self) -> bool:
+        """Whether every view flags all that it sees."""
+        views = zip(np.asarray(self.total), np.asarray(self.tampered), strict=True)
+        return all(np.array_equal(total, tampered) for total, tampered in views)
+
+
+def blank_evidence(views: int, count: int, *, in_memory: int = IN_MEMORY) -> Evidence:
+    """Evidence of zeros, on the host, to be filled view by view.
+
+    The optimisation reads one view at a time but returns to it, so all of it has to be somewhere:
+    what is large goes into a file that has no name and vanishes with the arrays, where the system
+    keeps as much of it in memory as it can spare.
+
+    Args:
+        views: Number of views V.
+        count: Number of Gaussians N.
+        in_memory: Bytes up to which plain arrays are taken.
+
+    Returns:
+        NumPy arrays, shapes (V, N); in the folder of temporary files where they are larger.
+    """
+    if 8 * views * count <= in_memory:
+        total, tampered = np.zeros((2, views, count), np.float32)
+        return Evidence(total=total, tampered=tampered)
+    with tempfile.TemporaryFile() as file:
+        both = np.memmap(file, np.float32, "w+", shape=(2, views, count))
+    return Evidence(total=both[0], tampered=both[1])
 
 
 def view_evidence(view: View, mask: Array) -> Evidence:

@@ -213,10 +213,10 @@ def _decide(
 ) -> tuple[np.ndarray, np.ndarray, list[str]]:
     """Scores, labels and warnings."""
     seen = evidence.seen
-    if not np.any(evidence.tampered):
+    if evidence.says_nothing:
         said = "No view says that anything is tampered."
         return np.zeros(len(seen), np.float32), np.zeros(len(seen), bool), [said]
-    if np.array_equal(evidence.tampered, evidence.total):
+    if evidence.says_everything:
         said = "Every view says that everything is tampered."
         return seen.astype(np.float32), seen, [said]
     tamper = np.asarray(normalise(np.where(seen, attribute, 0.0)), np.float32)

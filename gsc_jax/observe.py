@@ -12,7 +12,7 @@ import jax
 import numpy as np
 
 from gsc_jax.detection import Detector, fit_to_view
-from gsc_jax.evidence import Evidence, view_evidence
+from gsc_jax.evidence import Evidence, blank_evidence, view_evidence
 from gsc_jax.parallel import WORKERS, ahead
 from gsc_jax.projection import NEAR, project, project_centers
 from gsc_jax.scene import Camera, Gaussians
@@ -62,7 +62,7 @@ def observe(
         The observation, its views in the order of the cameras.
     """
     stages = stages or Stages()
-    total, tampered = np.zeros((2, len(cameras), len(gaussians)), np.float32)
+    evidence = blank_evidence(len(cameras), len(gaussians))
     masks, detections = {}, {}
 
     def prepare(camera: Camera) -> tuple[View, np.ndarray | None]:
@@ -90,7 +90,7 @@ def observe(
         camera, mask = cameras[index], masks[cameras[index].name]
         with stages("lift"):
             one = view_evidence(view, mask)
-            total[index], tampered[index] = one.total, one.tampered
+            evidence.total[index], evidence.tampered[index] = one.total, one.tampered
         with stages("vote"):
             return _votes(gaussians, camera, mask)
 
@@ -99,7 +99,6 @@ def observe(
         for done, counts in enumerate(ahead(pool, lift, judged()), start=1):
             votes = votes + counts
             progress("look", done, len(cameras))
-    evidence = Evidence(total=total, tampered=tampered)
     return Observation(evidence=evidence, votes=votes, masks=masks, detections=detections)
 
 

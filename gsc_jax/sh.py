@@ -7,6 +7,9 @@ Shortley phase is kept, hence the alternating signs (Kerbl et al. 2023; Sloan 20
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+
+from gsc_jax.scene import Array
 
 Y0 = 0.28209479177387814
 """The constant harmonic, 1 / (2 sqrt(pi)): a plain colour c is stored as (c - 0.5) / Y0."""
@@ -72,3 +75,33 @@ def colors(sh: jax.Array, means: jax.Array, center: jax.Array) -> jax.Array:
         0.5 + jnp.einsum("nk,nkc->nc", basis(directions, degree), sh, precision="highest"), 0.0
     )
     return jnp.where(jnp.isfinite(rgb), rgb, 0.0)
+
+
+def rotate(sh: Array, rotation: Array) -> jax.Array:
+    """The harmonics of Gaussians that are turned: what was seen along d is seen along R d.
+
+    A turn mixes the harmonics of a band among themselves only, so the mixing matrix follows
+    exactly from the values of the basis in enough directions.
+
+    Args:
+        sh: Coefficients, shape (N, K, 3) with K = 1, 4, 9 or 16.
+        rotation: Rotation matrix R from the old to the new pose, shape (3, 3).
+
+    Returns:
+        Coefficients of the same shape, float32.
+    """
+    degree = round(sh.shape[1] ** 0.5) - 1
+    directions = _spread_directions(64)
+    before = basis(jnp.asarray(directions @ np.asarray(rotation), jnp.float32), degree)
+    after = basis(jnp.asarray(directions, jnp.float32), degree)
+    mixing = np.linalg.lstsq(np.asarray(after, np.float64), np.asarray(before, np.float64))[0]
+    turned = np.einsum("kl,nlc->nkc", mixing, np.asarray(sh, np.float64))
+    return jnp.asarray(turned, jnp.float32)
+
+
+def _spread_directions(count: int) -> np.ndarray:
+    """Unit vectors evenly over the sphere, on a golden spiral, shape (count, 3)."""
+    height = 1 - (2 * np.arange(count) + 1) / count
+    turn = np.pi * (3 - np.sqrt(5)) * np.arange(count)
+    ring = np.sqrt(1 - height**2)
+    return np.stack([ring * np.cos(turn), ring * np.sin(turn), height], axis=-1)

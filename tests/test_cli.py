@@ -562,20 +562,21 @@ def test_bad_options(case, tmp_path, changes, expected):
 
 
 def test_bad_usage(case):
-    assert "locate, render, demo" in refused()
+    assert "locate, render, tamper, demo" in refused()
     assert "find" in refused("find")
     assert "--out" in refused(*given(case))
     background = ["--background", 0, 2, 0]
     assert "--background" in refused("render", case / "scene.ply", "--out", "o", *background)
 
 
-@pytest.mark.parametrize("command", ["locate", "render", "demo"])
+@pytest.mark.parametrize("command", ["locate", "render", "tamper", "demo"])
 def test_an_output_folder_that_cannot_be_written(case, tmp_path, command):
     (tmp_path / "file").write_text("in the way")
     out = tmp_path / "file" / "out"
     arguments = {
         "locate": given(case),
         "render": ["render", case / "scene.ply", "--cameras", case],
+        "tamper": ["tamper", case / "scene.ply", "--cameras", case, "--size", 0.3],
         "demo": ["demo"],
     }
     message = refused(*arguments[command], "--out", out)
@@ -650,7 +651,7 @@ def test_a_foreign_result_json_removes_nothing(case, tmp_path, listed):
 # What people see
 
 
-@pytest.mark.parametrize("command", ["locate", "render", "demo"])
+@pytest.mark.parametrize("command", ["locate", "render", "tamper", "demo"])
 def test_help_teaches(command, capsys):
     with pytest.raises(SystemExit) as stop:
         cli.main([command, "--help"])

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis.extra import numpy as hnp
 from strategies import blobs, camera, random_scene
 
-from gsc_jax.evidence import Evidence, view_evidence
+from gsc_jax.evidence import Evidence, blank_evidence, view_evidence
 from gsc_jax.losses import loss_2d, loss_2d_from_evidence
 from gsc_jax.splat import accumulate, composite, render_features
 from gsc_jax.tiles import make_view
@@ -54,3 +54,20 @@ def test_it_is_the_gradient_of_the_rendered_loss(mask):
 def test_what_any_view_sees_is_seen():
     total = np.array([[0, 1, 0], [0, 0, 2]], np.float32)
     assert Evidence(total=total, tampered=0 * total).seen.tolist() == [False, True, True]
+
+
+def test_large_evidence_lies_in_a_file_and_reads_the_same():
+    filled = [blank_evidence(3, 5, in_memory=limit) for limit in (0, 2**20)]
+    on_disk, in_memory = filled
+    assert isinstance(on_disk.total, np.memmap)
+    assert not isinstance(in_memory.total, np.memmap)
+    for evidence in filled:
+        assert evidence.says_nothing
+        assert not evidence.seen.any()
+        evidence.total[1], evidence.tampered[1] = np.arange(5), np.arange(5)
+        assert evidence.seen.tolist() == [False, True, True, True, True]
+        assert evidence.says_everything
+        evidence.tampered[1, 2] = 0
+        assert not evidence.says_nothing
+        assert not evidence.says_everything
+    assert np.array_equal(on_disk.tampered, in_memory.tampered)

@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 import reference
 from hypothesis import given
-from strategies import floats, random_scene
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+from strategies import floats, motions, random_scene
 
 from gsc_jax import sh
 
@@ -73,3 +75,27 @@ def test_a_gaussian_where_the_camera_stands_has_its_plain_color():
 def test_other_degrees_are_refused(degree):
     with pytest.raises(ValueError, match=f"0 to 3, got {degree}"):
         sh.basis(jnp.ones((1, 3)), degree)
+
+
+@given(motions(), st.integers(0, 3))
+def test_rotated_harmonics_show_from_the_turned_direction_what_was_seen_before(motion, degree):
+    R = Rotation.from_quat(motion[0], scalar_first=True).as_matrix()
+    scene = random_scene(6, degree=degree)
+    directions = np.random.default_rng(0).normal(size=(6, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    origin = np.zeros(3, np.float32)
+    before = sh.colors(scene.sh, directions.astype(np.float32), origin)
+    turned = sh.rotate(scene.sh, R)
+    assert turned.dtype == jnp.float32
+    after = sh.colors(turned, (directions @ R.T).astype(np.float32), origin)
+    np.testing.assert_allclose(after, before, atol=5e-6)
+
+
+def test_rotation_mixes_harmonics_of_a_band_only():
+    scene = random_scene(4, degree=3)
+    turned = np.asarray(sh.rotate(scene.sh, Rotation.from_euler("x", 50, degrees=True).as_matrix()))
+    np.testing.assert_allclose(turned[:, 0], scene.sh[:, 0], atol=1e-6)
+    for low, high in [(1, 4), (4, 9), (9, 16)]:
+        norms = [np.linalg.norm(x[:, low:high], axis=1) for x in (turned, scene.sh)]
+        np.testing.assert_allclose(*norms, atol=1e-5)
+    assert np.abs(turned[:, 1:] - scene.sh[:, 1:]).max() > 0.1

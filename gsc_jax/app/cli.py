@@ -17,13 +17,14 @@ import tyro
 
 from gsc_jax.app.cache import default_cache, use_cache
 from gsc_jax.app.demo import run_demo
-from gsc_jax.app.options import Demo, Locate, Render
+from gsc_jax.app.options import Demo, Locate, Render, Tamper
 from gsc_jax.app.outputs import Located
 from gsc_jax.app.progress import Bars
 from gsc_jax.app.run import run_locate, run_render
+from gsc_jax.app.tampering import run_tamper
 from gsc_jax.errors import InputError
 
-Command = Locate | Render | Demo
+Command = Locate | Render | Tamper | Demo
 
 DESCRIPTION = """\
 Finds the tampered Gaussians in a 3D Gaussian Splatting model, from what a 2D detector says about
@@ -91,6 +92,8 @@ def _run(command: Command) -> None:
         elif isinstance(command, Render):
             count, warnings = run_render(command, progress=bars)
             lines = [f"{count} {'image' if count == 1 else 'images'} in {command.out}"]
+        elif isinstance(command, Tamper):
+            lines, warnings = run_tamper(command, progress=bars)
         else:
             located = run_locate(command, progress=bars)
             lines, warnings = summary(located, command.out), located.warnings

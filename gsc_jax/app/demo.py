@@ -17,14 +17,12 @@ from gsc_jax.app.options import Demo, Locate
 from gsc_jax.app.outputs import evenly
 from gsc_jax.app.pictures import contact_sheet, overlay
 from gsc_jax.app.run import run_locate
+from gsc_jax.app.tampering import write_said, write_scene, write_truth
 from gsc_jax.benchmark.metrics import confusion, mean_over_tampered_views, truth_mask
 from gsc_jax.benchmark.scenes import MadeScene, tampered_room
 from gsc_jax.benchmark.simulate import REGIMES, decoy_labels, simulate
 from gsc_jax.decide import MaskRule, view_mask
 from gsc_jax.io.cameras import save_cameras
-from gsc_jax.io.files import atomic
-from gsc_jax.io.masks import image_path, write_mask, write_probability
-from gsc_jax.io.ply import save_ply
 from gsc_jax.method import Method
 from gsc_jax.projection import project_centers
 from gsc_jax.scene import Camera
@@ -81,9 +79,11 @@ def run_demo(
         seed=options.seed, count=count, views=views, heldout=heldout, width=width, height=height
     )
     given = options.out / "input"
-    write_scene(given, made)
+    write_scene(given, made.gaussians, made.cameras, made.labels)
+    save_cameras(given / "heldout_cameras.json", made.heldout_cameras)
     case = make_case(made, seed=options.seed, progress=progress)
-    write_masks(given, case)
+    write_said(given / "masks", {c.name: case.detector[c.name] for c in made.cameras})
+    write_truth(given / "truth", case.truth)
     inverse = inverse_projection(case)
     labels = {INVERSE: inverse}
     found = {INVERSE: _heldout_masks(case, inverse, inverse, "share")}
@@ -143,33 +143,6 @@ def make_case(made: MadeScene, *, seed: int, progress: Progress) -> Case:
         truth=dict(zip(names, truth, strict=True)),
         detector=dict(zip(names, said, strict=True)),
     )
-
-
-def write_scene(folder: Path, made: MadeScene) -> None:
-    """Writes the scene and its cameras, which `locate` is given, and which Gaussians are tampered.
-
-    Args:
-        folder: Where to: scene.ply, cameras.json, heldout_cameras.json, labels.npy.
-        made: The scene.
-    """
-    save_ply(folder / "scene.ply", made.gaussians)
-    save_cameras(folder / "cameras.json", made.cameras)
-    save_cameras(folder / "heldout_cameras.json", made.heldout_cameras)
-    with atomic(folder / "labels.npy") as temporary:
-        np.save(temporary, made.labels)
-
-
-def write_masks(folder: Path, case: Case) -> None:
-    """Writes what the detector says, which `locate` is given, and the truth in every view.
-
-    Args:
-        folder: Where to: masks/ and truth/, by camera.
-        case: The case.
-    """
-    for camera in case.made.cameras:
-        write_probability(image_path(folder / "masks", camera.name), case.detector[camera.name])
-    for name, mask in case.truth.items():
-        write_mask(image_path(folder / "truth", name), mask)
 
 
 def inverse_projection(case: Case) -> np.ndarray:

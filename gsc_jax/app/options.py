@@ -6,15 +6,20 @@ into result.json as they are.
 
 import dataclasses
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
+from gsc_jax.benchmark.tamper import Edit
 from gsc_jax.decide import MaskRule
 from gsc_jax.method import Method
 from gsc_jax.projection import NEAR
 
 _arg = tyro.conf.arg
+Regime = Literal[
+    "none", "clean", "boundary", "misses", "blobs", "consistent", "inverted", "mixture"
+]
+"""The regimes of `gsc_jax.benchmark.simulate`, and none."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -126,6 +131,56 @@ class Render(Look):
     """
 
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Tamper(Look):
+    r"""Edit a scene, to test with: the truth is known for every Gaussian and every pixel.
+
+    An incorporation stands an object into the scene, a modification changes a region in colour,
+    texture, size or shape, a removal takes a region away and closes the hole. The edit happens
+    where the cameras look; the rows of the file are shuffled, so that their order tells nothing.
+
+    for example:
+      gsc-jax tamper scene.ply --cameras cameras.json --edit removal \
+              --out edited
+      gsc-jax tamper scene.ply --object statue.ply --out edited
+
+    written into the folder of --out:
+      overview.png             before, after, and what is tampered
+      scene.ply, cameras.json  what `locate` is given, and
+      masks/                   what a simulated detector says
+      labels.npy, truth/       the truth, by row and by view
+      edit.json                what was done, in words and numbers
+
+    Attributes:
+        scene: The scene: a 3DGS .ply of any exporter; with the extra `formats` also compressed.ply,
+            spz and sog.
+        out: Folder for the results, made where missing.
+        edit: What is done: incorporation, modification or removal.
+        object: The object to stand into the scene: a .ply of nothing else, upright with -y up, of
+            any place and size. By default a made vase.
+        size: Share of the pixels that the edit is to cover, in the median of the views that see
+            it.
+        masks: What the simulated detector does wrong: nothing (clean), one thing (boundary,
+            misses, blobs, consistent, inverted) or everything (mixture); none writes no masks.
+        cameras: cameras.json, transforms.json, a COLMAP model (extra `colmap`), or a folder that
+            holds one of them. Without, cameras are placed around the scene.
+        views: Use this many cameras only, evenly spread. Of an orbit, this many are made, by
+            default 24.
+        scale: Size of the views relative to the cameras' images.
+        near: Near plane in world units: what is closer to a camera is not seen.
+        seed: What chance follows: the place and kind of the edit, the detector's mistakes.
+        no_cache: Do not keep what XLA compiles in the cache folder of this user, where the next run
+            finds it.
+    """
+
+    edit: Edit = "incorporation"
+    object: Annotated[
+        Path | None, _arg(metavar="OBJECT.ply", help_behavior_hint="(default: a vase)")
+    ] = None
+    size: Annotated[float, _arg(metavar="SHARE")] = 0.05
+    masks: Regime = "mixture"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -56,19 +56,20 @@ class Located:
         return float(np.mean([mask.mean() for mask in self.result.masks.values()]))
 
 
-def refuse_overlap(out: Path, inputs: Sequence[Path]) -> None:
+def refuse_overlap(out: Path, inputs: Sequence[Path], *, written: Sequence[str] = OUTPUTS) -> None:
     """Refuse a folder of results that would overwrite what the run reads.
 
     Args:
         out: The folder of results.
         inputs: Files and folders that are read.
+        written: Names in the folder that are written.
 
     Raises:
         InputError: naming the input that is in the way.
     """
-    written = [(out / name).resolve() for name in OUTPUTS]
+    results = [(out / name).resolve() for name in written]
     for path in inputs:
-        if any(path.resolve() == one or one in path.resolve().parents for one in written):
+        if any(path.resolve() == one or one in path.resolve().parents for one in results):
             raise InputError(
                 f"{path}: is read and would be overwritten by the results; give another --out "
                 f"than {out}"

@@ -1,4 +1,4 @@
-"""The commands `locate` and `render`: from files to files.
+"""The commands `locate` and `render`: from files to files; and how every command reads a scene.
 
 What can be wrong with the input is looked at first, what takes long comes after it. Both return
 what a person should be told; only `gsc_jax.app.cli` prints.
@@ -57,15 +57,17 @@ def run_locate(options: Locate, *, progress: Progress = silent) -> Located:
         InputError: if an input is wrong or the results cannot be written.
     """
     stages, warnings = Stages(), []
-    _check_look(options)
+    check_look(options)
     config = _config(options)
     paths = (options.scene, options.cameras, options.masks, options.detector, options.spec)
     inputs = [path for path in paths if path]
     refuse_overlap(options.out, inputs)
     detector = _detector(options)
     with stages("load"):
-        scene, cameras = _load(options, warnings, progress)
-    cameras = _chosen(options, detector.select(cameras), warnings) if options.views else cameras
+        scene, cameras = load_scene(options, warnings, progress)
+    cameras = (
+        chosen_cameras(options, detector.select(cameras), warnings) if options.views else cameras
+    )
     with _about(options.cameras or options.scene):
         check_views(scene.gaussians, cameras, near=options.near)  # locate repeats its warnings
     with replacing(options.out, keep=inputs) as folder:
@@ -108,11 +110,11 @@ def run_render(options: Render, *, progress: Progress = silent) -> tuple[int, li
         InputError: if an input is wrong or an image cannot be written.
     """
     warnings: list[str] = []
-    _check_look(options)
+    check_look(options)
     if not all(0 <= channel <= 1 for channel in options.background):
         raise InputError(f"--background {options.background}: expected three numbers from 0 to 1")
-    scene, cameras = _load(options, warnings, progress)
-    cameras = _chosen(options, cameras, warnings) if options.views else cameras
+    scene, cameras = load_scene(options, warnings, progress)
+    cameras = chosen_cameras(options, cameras, warnings) if options.views else cameras
     with _about(options.cameras or options.scene):
         warnings += check_views(scene.gaussians, cameras, near=options.near)
     if options.cameras is None:
@@ -145,7 +147,9 @@ def _config(options: Locate) -> MethodConfig:
     )
 
 
-def _load(options: Look, warnings: list[str], progress: Progress) -> tuple[PlyScene, list[Camera]]:
+def load_scene(
+    options: Look, warnings: list[str], progress: Progress
+) -> tuple[PlyScene, list[Camera]]:
     """The scene, and the cameras at their scale, whose names can name files."""
     progress("load", 0, 2)
     scene = read_ply(options.scene)
@@ -182,7 +186,7 @@ def _cameras(options: Look, gaussians: Gaussians, warnings: list[str]) -> list[C
     return scaled
 
 
-def _chosen(options: Look, cameras: Sequence[Camera], warnings: list[str]) -> list[Camera]:
+def chosen_cameras(options: Look, cameras: Sequence[Camera], warnings: list[str]) -> list[Camera]:
     """As many of the cameras as were asked for."""
     count = options.views or len(cameras)
     if count > len(cameras):
@@ -234,7 +238,8 @@ def _spec(options: Locate) -> OnnxSpec:
             raise InputError(f"no TOML ({error}), expected the fields of OnnxSpec") from error
 
 
-def _check_look(options: Look) -> None:
+def check_look(options: Look) -> None:
+    """Refuses numbers that mean nothing, before anything is read."""
     if options.views is not None and options.views < 1:
         raise InputError(f"--views {options.views}: expected at least one view")
     for flag, value in (("scale", options.scale), ("near", options.near)):

@@ -1,0 +1,119 @@
+"""The methods behind several 2D detectors: what lifting to 3D makes of each detector's masks.
+
+    python experiments/backbones.py [--quick] [--out docs] [--onnx FILE ...] [--preset NAME]
+
+The detectors are the four with a character of `benchmark/simulate.py`, uncalibrated, which read the
+truth and fail on purpose; the `DifferenceDetector`, which looks at pixels and knows the original;
+and any networks given as ONNX files, which are shown the renders. The first row is the detector
+itself, on the views that it was shown; the methods are scored on views that no detector saw.
+"""
+
+import dataclasses
+import operator
+from collections.abc import Mapping
+from pathlib import Path
+
+import charts
+import tyro
+from cases import Case, detector_masks, masks_of
+from runner import TRUTH, Args, Look, judge, look
+from tables import Row, pivot, where, write_csv, write_section
+
+from gsc_jax.benchmark.difference import DifferenceDetector
+from gsc_jax.benchmark.metrics import mean_over_tampered_views
+from gsc_jax.benchmark.simulate import PROFILES
+from gsc_jax.detection import Detector
+from gsc_jax.detectors.onnx import OnnxDetector, OnnxSpec
+from gsc_jax.detectors.onnx_spec import preset
+from gsc_jax.errors import InputError
+
+ITSELF = "the detector itself"
+"""The row that lifting has to beat."""
+REFERENCE = (ITSELF, TRUTH)
+METRICS = "f1", "iou", "precision", "recall"
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class BackboneArgs(Args):
+    """Those of every experiment, and networks to run it behind.
+
+    Attributes:
+        onnx: Detectors exported to ONNX, called by the names of their files.
+        preset: How these are fed and read: iml-vit, trufor, mvss-net or pscc-net; by default they
+            take RGB in [0, 1] and give probabilities.
+    """
+
+    onnx: tuple[Path, ...] = ()
+    preset: str | None = None
+
+    def networks(self) -> dict[str, OnnxDetector]:
+        """The networks, by name."""
+        if len({path.stem for path in self.onnx}) < len(self.onnx):
+            raise InputError("--onnx: two files have one name, by which tables call them")
+        spec = preset(self.preset) if self.preset else OnnxSpec()
+        return {path.stem: OnnxDetector(path, spec) for path in self.onnx}
+
+
+def judge_all(looks: Mapping[str, Look]) -> list[Row]:
+    """What `judge` gives, below a row per mask set for the masks themselves, where looked at."""
+    judged = list(judge(looks))
+    unknown = dict.fromkeys(judged[0], float("nan"))
+    own = []
+    for regime, one in looks.items():
+        masks = list(one.observation.masks.values())
+        found = mean_over_tampered_views(masks, list(one.case.truth))
+        values = {name: round(getattr(found, name), 4) for name in METRICS}
+        own.append({**unknown, **one.case.key, "regime": regime, "method": ITSELF, **values})
+    return own + judged
+
+
+def rows_of(case: Case, networks: Mapping[str, Detector]) -> list[Row]:
+    """Every detector and method on one edit."""
+    looking = {"difference": DifferenceDetector(case.scene.gaussians), **networks}
+    masks = detector_masks(case, PROFILES) | {
+        name: masks_of(detector, case.gaussians, case.scene.cameras)
+        for name, detector in looking.items()
+    }
+    return judge_all(look(case, masks))
+
+
+def gains(rows: list[Row]) -> list[Row]:
+    """The rows of the methods, with what their F1 is above that of the detector itself."""
+    key = operator.itemgetter("scene", "edit", "seed", "regime")
+    own = {key(row): row["f1"] for row in where(rows, method=ITSELF)}
+    return [
+        {**row, "gain": row["f1"] - own[key(row)]} for row in rows if row["method"] not in REFERENCE
+    ]
+
+
+def report(rows: list[Row]) -> str:
+    """The tables."""
+    return "\n\n".join(
+        [
+            "**F1 by 2D detector.** The first row is the detector itself on the views that it was "
+            "shown, the others are scored on held-out views; a network that was given with "
+            "`--onnx` has a column of its name. `difference` knows the original scene, as no "
+            "forensic detector does: it shows what lifting makes of good masks.",
+            pivot(rows, "method", "regime", reference=REFERENCE),
+            "**F1 gained over the detector itself**",
+            pivot(gains(rows), "method", "regime", metric="gain"),
+            "**F1 by kind of edit, all detectors**",
+            pivot(rows, "method", "edit", reference=REFERENCE),
+        ]
+    )
+
+
+def main(args: BackboneArgs) -> None:
+    """Judge every case behind every detector; print and write the tables and the chart."""
+    networks = args.networks()
+    rows = [row for case in args.cases() for row in rows_of(case, networks)]
+    write_csv(args.out / "backbones.csv", rows)
+    warnings = [f"Warning: {text}" for network in networks.values() for text in network.warnings]
+    text = "\n\n".join([report(rows), *warnings])
+    print(text)
+    write_section(args.out / "results.md", "backbones", text)
+    charts.grid(rows, args.out / "backbones.png")
+
+
+if __name__ == "__main__":
+    main(tyro.cli(BackboneArgs, description=__doc__))

@@ -1,0 +1,132 @@
+"""The experiments: the runner against the library, tables by hand, every script in quick mode."""
+
+import dataclasses
+import importlib
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gsc_jax.benchmark.simulate import REGIMES
+from gsc_jax.detection import as_detector
+from gsc_jax.observe import observe
+
+ROOT = Path(__file__).resolve().parents[1]
+SCRIPTS = {
+    "ablation": ("ablation", "ablation_rules"),
+    "authentic": ("authentic",),
+    "backbones": ("backbones",),
+    "editing": ("editing",),
+    "parsimony": ("parsimony",),
+    "robustness": ("robustness",),
+    "speed_accuracy": ("speed_accuracy",),
+    "stability": ("stability",),
+}
+
+
+@pytest.fixture(autouse=True)
+def experiments_are_importable(monkeypatch):
+    monkeypatch.setattr(sys, "path", [str(ROOT / "experiments"), *sys.path])
+
+
+@pytest.fixture(scope="module")
+def case():
+    sys.path.insert(0, str(ROOT / "experiments"))
+    cases = importlib.import_module("cases")
+    return cases.make_case(cases.QUICK, "incorporation", 0)
+
+
+def test_one_look_lifts_every_regime_as_observing_each_would(case):
+    cases, runner = importlib.import_module("cases"), importlib.import_module("runner")
+    masks = cases.detector_masks(case, {name: REGIMES[name] for name in ("clean", "mixture")})
+    for regime, look in runner.look(case, masks).items():
+        given = dict(zip([c.name for c in case.scene.cameras], masks[regime], strict=True))
+        alone = observe(case.gaussians, case.scene.cameras, as_detector(given))
+        lifted = look.observation
+        np.testing.assert_allclose(lifted.evidence.total, alone.evidence.total, rtol=1e-4)
+        difference = np.abs(lifted.evidence.tampered - alone.evidence.tampered)
+        assert difference.max() < 1e-2
+        assert np.array_equal(lifted.votes.tampered, alone.votes.tampered)
+
+
+def test_the_true_labels_score_one_and_none_score_nothing(case):
+    cases, runner = importlib.import_module("cases"), importlib.import_module("runner")
+    looks = runner.look(case, cases.detector_masks(case, {"clean": REGIMES["clean"]}))
+    nothing = {"nothing": lambda look: runner.labelled(np.zeros_like(look.case.labels))}
+    truth, none = runner.judge(looks, nothing)
+    assert truth["method"] == runner.TRUTH
+    assert truth["f1"] == truth["f1_gaussians"] == truth["auc"] == pytest.approx(1)
+    assert truth["false_area"] == 0
+    assert none["f1"] == none["f1_gaussians"] == none["false_area"] == 0
+    assert none["auc"] == 0.5
+
+
+def test_the_calibrated_mixture_leaves_the_inverse_projection_little(case):
+    cases, runner = importlib.import_module("cases"), importlib.import_module("runner")
+    masks = cases.detector_masks(case, {"mixture": cases.calibrated_mixture(case)})
+    inverse = {"inverse projection": runner.ALL_METHODS["inverse projection"]}
+    row = list(runner.judge(runner.look(case, masks), inverse))[-1]
+    assert 0.1 <= row["f1"] <= 0.4
+
+
+def test_a_case_is_made_again_from_its_key(case):
+    cases = importlib.import_module("cases")
+    again = cases.make_case(**{"name": cases.QUICK, "edit": "incorporation", "seed": 0})
+    assert np.array_equal(case.labels, again.labels)
+    assert np.array_equal(case.heldout_truth, again.heldout_truth)
+    masks, others = (cases.detector_masks(one, REGIMES) for one in (case, again))
+    assert all(np.array_equal(masks[name], others[name]) for name in REGIMES)
+
+
+def test_a_table_has_means_spreads_and_the_best_in_bold():
+    tables = importlib.import_module("tables")
+    rows = [
+        {"method": method, "regime": regime, "seed": seed, "f1": value + 0.1 * seed}
+        for method, regime, value in [
+            ("a", "x", 0.2),
+            ("a", "y", 0.6),
+            ("b", "x", 0.4),
+            ("b", "y", 0.4),
+            ("limit", "x", 0.9),
+            ("limit", "y", float("nan")),
+        ]
+        for seed in (0, 1)
+    ]
+    text = tables.pivot(
+        rows, "method", "regime", reference=("limit",), extra={"paper": {"a": "0.5"}}
+    )
+    assert text.splitlines() == [
+        "| method | x | y | mean | paper |",
+        "|---|---|---|---|---|",
+        "| a | 0.25 ± 0.05 | **0.65** ± 0.05 | **0.45** ± 0.05 | 0.5 |",
+        "| b | **0.45** ± 0.05 | 0.45 ± 0.05 | **0.45** ± 0.05 |  |",
+        "| limit | 0.95 ± 0.05 | - | 0.95 ± 0.05 |  |",
+    ]
+
+
+def test_a_section_is_replaced_and_the_rest_of_the_page_stays(tmp_path):
+    tables = importlib.import_module("tables")
+    page = tmp_path / "results.md"
+    page.write_text("before\n<!-- one -->\nold\n<!-- /one -->\nafter\n")
+    tables.write_section(page, "one", "new")
+    tables.write_section(page, "two", "more")
+    assert page.read_text() == (
+        "before\n<!-- one -->\nnew\n<!-- /one -->\nafter\n\n<!-- two -->\nmore\n<!-- /two -->\n"
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SCRIPTS)
+def test_every_script_runs_in_quick_mode(name, tmp_path):
+    script = importlib.import_module(name)
+    (args_of,) = {
+        value
+        for value in vars(script).values()
+        if isinstance(value, type) and dataclasses.is_dataclass(value) and "quick" in value.__dict__
+    } or {importlib.import_module("runner").Args}
+    script.main(args_of(quick=True, out=tmp_path))
+    assert f"<!-- {name} -->" in (tmp_path / "results.md").read_text()
+    assert (tmp_path / f"{name}.png").stat().st_size > 5_000
+    for table in SCRIPTS[name]:
+        assert len((tmp_path / f"{table}.csv").read_text().splitlines()) > 1

@@ -1,0 +1,79 @@
+"""The command `tamper`: what it writes is what `locate` reads, and the truth of it."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_cli import refused, run
+
+from gsc_jax import load_cameras, load_ply, save_ply
+from gsc_jax.benchmark.metrics import truth_mask
+from gsc_jax.benchmark.scenes import make_room, room_cameras
+from gsc_jax.io.cameras import save_cameras
+from gsc_jax.io.masks import image_path, read_probability
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("room")
+    save_ply(folder / "scene.ply", make_room(count=6_000))
+    save_cameras(folder / "cameras.json", room_cameras(6, width=96, height=72))
+    return folder
+
+
+@pytest.fixture(scope="module", params=["incorporation", "modification", "removal"])
+def edited(request, room, tmp_path_factory):
+    out = tmp_path_factory.mktemp("edited") / "out"
+    looked = ["--cameras", room / "cameras.json", "--out", out, "--edit", request.param]
+    return request.param, out, run("tamper", room / "scene.ply", *looked)
+
+
+def test_the_truth_is_that_of_the_scene_written(edited):
+    edit, out, answer = edited
+    assert answer.code == 0
+    assert answer.out.startswith(edit.capitalize())
+    gaussians, labels = load_ply(out / "scene.ply"), np.load(out / "labels.npy")
+    assert labels.dtype == bool
+    assert 0 < labels.sum() < len(labels) == len(gaussians)
+    account = json.loads((out / "edit.json").read_text())
+    assert account["tampered"] == labels.sum()
+    for camera in load_cameras(out / "cameras.json"):
+        written = read_probability(image_path(out / "truth", camera.name)) > 0.5
+        differs = np.mean(written != truth_mask(gaussians, camera, labels))
+        assert differs < 0.002  # the file rounds quaternions to unit length
+        assert account["visible"][camera.name] == pytest.approx(written.mean(), abs=0.01)
+
+
+def test_locate_reads_what_tamper_writes(edited, tmp_path):
+    _, out, answer = edited
+    command = answer.out.splitlines()[-1].split()
+    assert command[:4] == ["find", "it", "gsc-jax", "locate"]
+    assert run(*command[3:-1], tmp_path / "found").code == 0
+    assert len(np.load(tmp_path / "found" / "labels.npy")) == len(np.load(out / "labels.npy"))
+
+
+def test_a_vase_is_pasted_by_default_and_any_object_on_request(room, tmp_path):
+    looked = ["--cameras", room / "cameras.json", "--masks", "none"]
+    answer = run("tamper", room / "scene.ply", *looked, "--out", tmp_path / "own", "--object",
+                 room / "scene.ply")  # fmt: skip
+    assert answer.code == 0
+    assert "find it" not in answer.out
+    assert not (tmp_path / "own" / "masks").exists()
+    account = json.loads((tmp_path / "own" / "edit.json").read_text())
+    assert account["object"] == str(room / "scene.ply")
+
+
+def test_bad_input_is_one_line(room, tmp_path):
+    scene, out = room / "scene.ply", tmp_path / "out"
+    cameras = ["--cameras", room / "cameras.json"]
+    assert "--object" in refused(
+        "tamper", scene, *cameras, "--out", out, "--edit", "removal", "--object", scene
+    )
+    assert "--size" in refused("tamper", scene, *cameras, "--out", out, "--size", 0.9)
+    assert "--edit" in refused("tamper", scene, *cameras, "--out", out, "--edit", "addition")
+    assert not out.exists()
+    shutil.copy(scene, tmp_path / "scene.ply")
+    message = refused("tamper", tmp_path / "scene.ply", *cameras, "--out", tmp_path)
+    assert "another --out" in message

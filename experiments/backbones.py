@@ -16,21 +16,15 @@ from pathlib import Path
 import charts
 import tyro
 from cases import Case, detector_masks, masks_of
-from runner import TRUTH, Args, Look, judge, look
+from runner import ITSELF, REFERENCE, Args, judge, look
 from tables import Row, pivot, where, write_csv, write_section
 
 from gsc_jax.benchmark.difference import DifferenceDetector
-from gsc_jax.benchmark.metrics import mean_over_tampered_views
 from gsc_jax.benchmark.simulate import PROFILES
 from gsc_jax.detection import Detector
 from gsc_jax.detectors.onnx import OnnxDetector, OnnxSpec
 from gsc_jax.detectors.onnx_spec import preset
 from gsc_jax.errors import InputError
-
-ITSELF = "the detector itself"
-"""The row that lifting has to beat."""
-REFERENCE = (ITSELF, TRUTH)
-METRICS = "f1", "iou", "precision", "recall"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -54,19 +48,6 @@ class BackboneArgs(Args):
         return {path.stem: OnnxDetector(path, spec) for path in self.onnx}
 
 
-def judge_all(looks: Mapping[str, Look]) -> list[Row]:
-    """What `judge` gives, below a row per mask set for the masks themselves, where looked at."""
-    judged = list(judge(looks))
-    unknown = dict.fromkeys(judged[0], float("nan"))
-    own = []
-    for regime, one in looks.items():
-        masks = list(one.observation.masks.values())
-        found = mean_over_tampered_views(masks, list(one.case.truth))
-        values = {name: round(getattr(found, name), 4) for name in METRICS}
-        own.append({**unknown, **one.case.key, "regime": regime, "method": ITSELF, **values})
-    return own + judged
-
-
 def rows_of(case: Case, networks: Mapping[str, Detector]) -> list[Row]:
     """Every detector and method on one edit."""
     looking = {"difference": DifferenceDetector(case.scene.gaussians), **networks}
@@ -74,7 +55,7 @@ def rows_of(case: Case, networks: Mapping[str, Detector]) -> list[Row]:
         name: masks_of(detector, case.gaussians, case.scene.cameras)
         for name, detector in looking.items()
     }
-    return judge_all(look(case, masks))
+    return list(judge(look(case, masks)))
 
 
 def gains(rows: list[Row]) -> list[Row]:

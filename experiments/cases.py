@@ -153,21 +153,17 @@ def _edited(scene: Scene, edit: Edit, pasted: Gaussians | None, seed: int) -> Ta
     raise AssertionError("unreachable")
 
 
-def untouched(name: str, seed: int, data: Path = DATA) -> Case:
-    """The case that nothing was done: no truth, but a region that looks suspicious."""
-    scene = load_scene(name, data)
-    imagined = make_case(name, "modification", seed, data)
-    gaussians = jax.tree.map(jnp.asarray, scene.gaussians)
-    return Case(
-        scene=scene,
+def untouched(imagined: Case) -> Case:
+    """The scene of a case as it was; what was edited there is now what looks suspicious."""
+    return dataclasses.replace(
+        imagined,
         edit="none",
-        seed=seed,
-        gaussians=gaussians,
-        labels=np.zeros(len(gaussians), bool),
+        gaussians=jax.tree.map(jnp.asarray, imagined.scene.gaussians),
+        labels=np.zeros(len(imagined.scene.gaussians), bool),
         truth=np.zeros_like(imagined.truth),
         heldout_truth=np.zeros_like(imagined.heldout_truth),
         decoy=imagined.truth,
-        description="untouched",
+        description="Untouched.",
     )
 
 
@@ -207,3 +203,20 @@ def calibrated_mixture(case: Case) -> Failures:
 def _seed(case: Case, regime: str) -> int:
     # From the names, so that a regime fails alike whichever others are looked at.
     return int.from_bytes(f"{case.scene.name} {case.edit} {case.seed} {regime}".encode()) % 2**63
+
+
+def reduced(
+    case: Case, masks: Mapping[str, np.ndarray], views: int, scale: float = 1.0
+) -> tuple[Case, dict[str, np.ndarray]]:
+    """The case with fewer cameras, evenly spread, and smaller images, and the masks there."""
+    total = len(case.scene.cameras)
+    chosen = [k * total // views for k in range(views)]
+    cameras = [case.scene.cameras[k].scaled(scale) for k in chosen]
+    smaller = {
+        name: np.stack(
+            [fit_to_view(mask[k], c) > 0.5 for k, c in zip(chosen, cameras, strict=True)]
+        )
+        for name, mask in masks.items()
+    }
+    scene = dataclasses.replace(case.scene, cameras=cameras)
+    return dataclasses.replace(case, scene=scene), smaller

@@ -13,7 +13,7 @@ import functools
 import charts
 import tyro
 from cases import Case, calibrated_mixture, detector_masks
-from runner import TRUTH, Args, judge, look, sagd
+from runner import REFERENCE, Args, judge, look, sagd
 from tables import Row, pivot, where, write_csv, write_section
 
 from gsc_jax.benchmark.simulate import REGIMES
@@ -32,12 +32,12 @@ def rows_of(case: Case) -> list[Row]:
     regimes = {**REGIMES, "mixture": calibrated_mixture(case)}
     looks = look(case, detector_masks(case, regimes))
     only_here = judge({"mixture": looks["mixture"]}, {"SAGD, boundary": sagd})
-    return [*judge(looks), *(row for row in only_here if row["method"] != TRUTH)]
+    return [*judge(looks), *(row for row in only_here if row["method"] not in REFERENCE)]
 
 
 def report(rows: list[Row]) -> str:
     """The tables."""
-    table = functools.partial(pivot, reference=(TRUTH,))
+    table = functools.partial(pivot, reference=REFERENCE)
     mixture = where(rows, regime="mixture")
     quoted = {
         f"paper, {edit}": {name: f"{values[edit]:.2f}" for name, values in PAPER.items()}

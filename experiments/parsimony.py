@@ -17,10 +17,10 @@ import charts
 import jax
 import numpy as np
 import tyro
-from cases import Case, calibrated_mixture, detector_masks
-from runner import ALL_METHODS, Answer, Look, checker, heldout_masks, labelled, look, reduced
-from speed_accuracy import CLOSE, FewArgs, markdown
-from tables import Row, mean, values_of, where, write_csv, write_section
+from cases import Case, calibrated_mixture, detector_masks, reduced
+from runner import ALL_METHODS, Answer, FewArgs, Look, checker, heldout_masks, labelled, look
+from speed_accuracy import CLOSE
+from tables import Row, markdown, mean, values_of, where, write_csv, write_section
 
 from gsc_jax.benchmark.metrics import mean_over_tampered_views
 from gsc_jax.benchmark.simulate import REGIMES

@@ -19,9 +19,8 @@ import charts
 import jax
 import jax.numpy as jnp
 import tyro
-from backbones import REFERENCE, judge_all
 from cases import Case, calibrated_mixture, detector_masks, masks_of
-from runner import Args, look
+from runner import REFERENCE, Args, judge, look
 from tables import Row, pivot, values_of, where, write_csv, write_section
 
 from gsc_jax.benchmark.difference import DifferenceDetector
@@ -48,7 +47,7 @@ def rows_of(case: Case) -> Iterator[Row]:
         masks = {"difference": masks_of(detector, distorted.gaussians, case.scene.cameras)}
         if distortion.image is None:
             masks |= mixture
-        for row in judge_all(look(distorted, masks)):
+        for row in judge(look(distorted, masks)):
             yield {**row, "distortion": name}
 
 

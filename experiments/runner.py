@@ -7,6 +7,7 @@ channels scores them in a held-out view.
 
 import dataclasses
 import functools
+import itertools
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -30,7 +31,6 @@ from gsc_jax.benchmark.baselines import (
 from gsc_jax.benchmark.metrics import auc, confusion, false_positive_area, mean_over_tampered_views
 from gsc_jax.benchmark.tamper import EDITS, Edit
 from gsc_jax.decide import MIN_COVERAGE
-from gsc_jax.detection import fit_to_view
 from gsc_jax.evidence import Evidence
 from gsc_jax.method import METHODS, MethodConfig, find
 from gsc_jax.observe import Observation
@@ -42,8 +42,12 @@ from gsc_jax.vote import cast_votes, no_votes, tally
 
 CHANNELS = 32
 """Answers composited at once."""
+ITSELF = "the detector itself"
+"""What lifting has to beat."""
 TRUTH = "true labels"
 """The upper bound: what the rule that makes masks of labels leaves of the truth."""
+REFERENCE = (ITSELF, TRUTH)
+"""Rows that take no part in the contest."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -72,7 +76,7 @@ class Args:
         """The cases covered, scene by scene; in a quick run one edit of one made scene each."""
         scenes = (QUICK,) if self.quick else self.scenes or available(self.data)
         count = 1 if self.quick else seeds or self.seeds
-        jobs = [(s, e, k) for s in scenes for e in edits or self.edits for k in range(count)]
+        jobs = list(itertools.product(scenes, edits or self.edits, range(count)))
         for scene, edit, seed in tqdm(jobs, desc="cases", disable=None):
             yield make_case(scene, edit, seed, self.data)
 
@@ -82,6 +86,13 @@ class Args:
             if not (self.quick and k):
                 one = dataclasses.replace(self, scenes=(scene,))
                 yield from one.cases([self.edits[k % len(self.edits)]])
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class FewArgs(Args):
+    """As the others, with one seed."""
+
+    seeds: int = 1
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -132,15 +143,9 @@ class Answer:
 Method = Callable[[Look], Answer]
 
 
-def look(
-    case: Case, masks: Mapping[str, np.ndarray], gaussians: Gaussians | None = None
-) -> dict[str, Look]:
-    """Lift every set of masks (V, H, W) of a case, the blending weights computed once.
-
-    `gaussians` stand in for the edited scene where that itself was distorted.
-    """
-    gaussians = case.gaussians if gaussians is None else gaussians
-    cameras, names = case.scene.cameras, list(masks)
+def look(case: Case, masks: Mapping[str, np.ndarray]) -> dict[str, Look]:
+    """Lift every set of masks (V, H, W) of a case, the blending weights computed once."""
+    gaussians, cameras, names = case.gaussians, case.scene.cameras, list(masks)
     start = time.perf_counter()
     views = [make_view(gaussians, camera) for camera in cameras]
     total = np.zeros((len(cameras), len(gaussians)), np.float32)
@@ -170,23 +175,6 @@ def look(
         )
         for k, name in enumerate(names)
     }
-
-
-def reduced(
-    case: Case, masks: Mapping[str, np.ndarray], views: int, scale: float = 1.0
-) -> tuple[Case, dict[str, np.ndarray]]:
-    """The case with fewer cameras, evenly spread, and smaller images, and the masks there."""
-    total = len(case.scene.cameras)
-    chosen = [k * total // views for k in range(views)]
-    cameras = [case.scene.cameras[k].scaled(scale) for k in chosen]
-    smaller = {
-        name: np.stack(
-            [fit_to_view(mask[k], c) > 0.5 for k, c in zip(chosen, cameras, strict=True)]
-        )
-        for name, mask in masks.items()
-    }
-    scene = dataclasses.replace(case.scene, cameras=cameras)
-    return dataclasses.replace(case, scene=scene), smaller
 
 
 def labelled(labels: np.ndarray) -> Answer:
@@ -267,7 +255,10 @@ ALL_METHODS: Mapping[str, Method] = {
 
 
 def judge(looks: Mapping[str, Look], methods: Mapping[str, Method] = ALL_METHODS) -> Iterator[Row]:
-    """A row per regime and method, and one for the true labels, scored on the held-out views."""
+    """Rows per regime: the detector itself, the true labels and every method.
+
+    The detector is scored on the views that it was shown, all others on the held-out ones.
+    """
     case = next(iter(looks.values())).case
     answers: dict[tuple[str, str], Answer] = {}
     seconds: dict[tuple[str, str], float] = {}
@@ -278,6 +269,10 @@ def judge(looks: Mapping[str, Look], methods: Mapping[str, Method] = ALL_METHODS
             answers[regime, name] = method(one)
             seconds[regime, name] = time.perf_counter() - start
     masks = heldout_masks(case.gaussians, case.scene.heldout, list(answers.values()))
+    for regime, one in looks.items():
+        said = np.stack(list(one.observation.masks.values()))
+        row = {**case.key, "regime": regime, "method": ITSELF, **by_view(said, one.case.truth)}
+        yield {**row, "f1_gaussians": np.nan, "auc": np.nan, "seconds": 0.0}
     for (regime, name), predicted in zip(answers, masks, strict=True):
         yield {
             **case.key,
@@ -321,18 +316,20 @@ def _flagged(view: View, answers: Sequence[Answer]) -> np.ndarray:
 
 
 def scores(case: Case, answer: Answer, predicted: np.ndarray) -> dict[str, float]:
-    """Per view over the held-out views, and per Gaussian weighted by opacity."""
-    truth = case.heldout_truth
-    views = mean_over_tampered_views(list(predicted), list(truth))
-    weights = np.asarray(jax.nn.sigmoid(jnp.asarray(case.gaussians.logit_opacities)))
-    elsewhere = false_positive_area([p & ~t for p, t in zip(predicted, truth, strict=True)])
-    values = {
-        "f1": views.f1,
-        "iou": views.iou,
-        "precision": views.precision,
-        "recall": views.recall,
-        "f1_gaussians": confusion(answer.labels, case.labels, weights=weights).f1,
-        "auc": auc(answer.score, case.labels),
-        "false_area": float(elsewhere.mean()),
-    }
+    """Scores of an answer, with its masks (U, H, W) of the held-out views."""
+    return {**by_view(predicted, case.heldout_truth), **by_gaussian(case, answer)}
+
+
+def by_view(predicted: np.ndarray, truth: np.ndarray) -> dict[str, float]:
+    """Scores of masks (V, H, W): IMDL-BenCo's, and the share of the pixels falsely flagged."""
+    found = mean_over_tampered_views(list(predicted), list(truth))
+    values = {name: getattr(found, name) for name in ("f1", "iou", "precision", "recall")}
+    values["false_area"] = float(false_positive_area(list(predicted & ~truth)).mean())
     return {name: round(value, 4) for name, value in values.items()}
+
+
+def by_gaussian(case: Case, answer: Answer) -> dict[str, float]:
+    """Scores of the labels, weighted by opacity, and of the score behind them."""
+    weights = np.asarray(jax.nn.sigmoid(jnp.asarray(case.gaussians.logit_opacities)))
+    found = confusion(answer.labels, case.labels, weights=weights)
+    return {"f1_gaussians": round(found.f1, 4), "auc": round(auc(answer.score, case.labels), 4)}

@@ -19,9 +19,9 @@ import charts
 import jax
 import numpy as np
 import tyro
-from cases import Case, calibrated_mixture, detector_masks
-from runner import ALL_METHODS, Args, Method, checker, heldout_masks, look, reduced, scores
-from tables import Row, mean, values_of, where, write_csv, write_section
+from cases import Case, calibrated_mixture, detector_masks, reduced
+from runner import ALL_METHODS, FewArgs, Method, checker, heldout_masks, look, scores
+from tables import Row, markdown, mean, values_of, where, write_csv, write_section
 
 from gsc_jax.method import METHODS
 from gsc_jax.projection import project_centers
@@ -40,19 +40,6 @@ VARIANTS: dict[tuple[str, int | str], Method] = {
 """By name and, where there is a choice, epochs."""
 CLOSE = 0.01
 """A loss of F1 that is worth time."""
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class FewArgs(Args):
-    """As the others, with one seed."""
-
-    seeds: int = 1
-
-
-def markdown(heads: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """A table."""
-    lines = [heads, ["---"] * len(heads), *rows]
-    return "\n".join(f"| {' | '.join(map(str, line))} |" for line in lines)
 
 
 def timed(function: Callable[[], Any]) -> tuple[Any, float]:

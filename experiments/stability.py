@@ -15,10 +15,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import tyro
-from cases import Case, detector_masks
-from runner import ALL_METHODS, TRUTH, judge, look, reduced
-from speed_accuracy import FewArgs, markdown
-from tables import Row, mean, values_of, where, write_csv, write_section
+from cases import Case, detector_masks, reduced
+from runner import ALL_METHODS, REFERENCE, FewArgs, judge, look
+from tables import Row, markdown, mean, values_of, where, write_csv, write_section
 
 from gsc_jax.benchmark.metrics import truth_mask
 from gsc_jax.benchmark.simulate import REGIMES, Failures
@@ -36,7 +35,7 @@ FAILURES: Mapping[str, tuple[Failures, float, str]] = {
     "mixture": (REGIMES["mixture"].scaled(2.0), 2.0, "x the mixture"),
 }
 """Each failure at strength 1, what number that is, and of what."""
-REFERENCE = {
+RELEASED = {
     "no view says tampered": "NaN in comparisons; right by luck",
     "every view says everything": "r becomes NaN",
     "a single view": "groups may be empty: NaN in r, an empty model",
@@ -57,7 +56,7 @@ def rows_of(case: Case, strengths: Sequence[float]) -> Iterator[Row]:
             for s in strengths
         }
         for row in judge(look(case, masks), COMPARED):
-            if row["method"] != TRUTH:
+            if row["method"] not in REFERENCE:
                 yield {**row, "regime": failure, "strength": float(row["regime"])}
 
 
@@ -73,7 +72,7 @@ def breaks_at(rows: Sequence[Row], unit: str) -> str:
 
 
 def degenerate(case: Case) -> Iterator[tuple[Case, np.ndarray]]:
-    """The cases of `REFERENCE`, in its order, each with its masks."""
+    """The cases of `RELEASED`, in its order, each with its masks."""
     cameras, scene, truth = case.scene.cameras, case.gaussians, case.truth
     yield case, np.zeros_like(truth)
     yield case, np.ones_like(truth)
@@ -111,7 +110,7 @@ def _with(scene: Gaussians, **parts: Array) -> Gaussians:
 def degenerate_table(case: Case) -> str:
     """What every method labels, and whether it is finite."""
     lines = []
-    for (name, reference), (one, masks) in zip(REFERENCE.items(), degenerate(case), strict=True):
+    for (name, reference), (one, masks) in zip(RELEASED.items(), degenerate(case), strict=True):
         looked = look(one, {name: masks})[name]
         cells = []
         for method in COMPARED.values():
@@ -143,10 +142,10 @@ def main(args: FewArgs) -> None:
     room = next(dataclasses.replace(args, scenes=("room",)).cases(("modification",)))
     text = (
         "**Strength at which F1 falls below half of what it is without failures**\n\n"
-        f"{breaking_table(rows)}\n\nThe decoy (consistent) is no larger than the object: who labels both "
-        "keeps an F1 of about 2/3, and so holds.\n\n**Degenerate cases: share of the Gaussians labelled, where "
-        f"{room.labels.mean():.1%} are tampered. Scores are finite but where a cell says of what "
-        f"share they are not**\n\n{degenerate_table(room)}"
+        f"{breaking_table(rows)}\n\nThe decoy (consistent) is no larger than the object: who takes "
+        "both keeps an F1 of about 2/3, and so holds.\n\n**Degenerate cases: share of Gaussians "
+        f"labelled, with {room.labels.mean():.1%} tampered. Scores are finite but where a cell "
+        f"says of what share they are not**\n\n{degenerate_table(room)}"
     )
     print(text)
     write_section(args.out / "results.md", "stability", text)

@@ -57,6 +57,12 @@ def values_of(rows: Sequence[Row], key: str) -> list[Any]:
     return list(dict.fromkeys(row[key] for row in rows))
 
 
+def markdown(heads: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    """A table in Markdown."""
+    lines = [heads, ["---"] * len(heads), *rows]
+    return "\n".join(f"| {' | '.join(map(str, line))} |" for line in lines)
+
+
 def pivot(
     rows: Sequence[Row],
     down: str,
@@ -95,15 +101,15 @@ def pivot(
         _winner([mean(cells[name][k], metric) for name in contest], best) for k in range(width)
     ]
     heads = [down, *map(str, columns), *(["mean"] if total else []), *extra]
-    lines = [f"| {' | '.join(heads)} |", "|" + "---|" * len(heads)]
+    lines = []
     for name in names:
         texts = [
             _cell(cells[name][k], metric, winners[k] if name in contest else None, digits)
             for k in range(width)
         ]
         texts += [column.get(name, "") for column in extra.values()]
-        lines.append(f"| {name} | {' | '.join(texts)} |")
-    return "\n".join(lines)
+        lines.append([name, *texts])
+    return markdown(heads, lines)
 
 
 def _winner(
@@ -117,8 +123,8 @@ def _cell(rows: Sequence[Row], metric: str, winner: float | None, digits: int) -
     value = mean(rows, metric)
     if np.isnan(value):
         return "-"
-    text = f"{value:.{digits}f}"
-    if winner is not None and text == f"{winner:.{digits}f}":
+    text = f"{value:z.{digits}f}"
+    if winner is not None and text == f"{winner:z.{digits}f}":
         text = f"**{text}**"
     return (
         f"{text} ± {spread(rows, metric):.{digits}f}" if len(values_of(rows, "seed")) > 1 else text

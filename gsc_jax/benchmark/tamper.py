@@ -40,11 +40,11 @@ __all__ = ["EDITS", "Edit", "Tampered", "cut_object", "tamper", "transformed"]
 Edit = Literal["incorporation", "modification", "removal"]
 EDITS: tuple[Edit, ...] = get_args(Edit)
 
-ATTEMPTS = 6
+ATTEMPTS = 8
 THINGS = 5
 """Regions from which an object to be cut is chosen, and how much of the views it fills."""
 THING_SIZE = 0.06
-MIN_VIEWS = 0.25
+MIN_VIEWS = 0.5
 """The share of the views that must see an edit."""
 MIN_DIFFERENCE = 0.03
 """Mean absolute difference in RGB that a modification must make where it is seen."""

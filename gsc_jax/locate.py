@@ -16,7 +16,7 @@ from gsc_jax.loop import resolved
 from gsc_jax.method import METHODS, Finding, Method, MethodConfig, find
 from gsc_jax.observe import observe
 from gsc_jax.parallel import WORKERS, ahead
-from gsc_jax.scene import Camera, Gaussians
+from gsc_jax.scene import Camera, Gaussians, invalid_rows
 from gsc_jax.stages import Progress, Stages, silent
 from gsc_jax.views import check_views
 
@@ -89,7 +89,7 @@ def locate(
         raise ValueError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
     config = config or METHODS[method]
     stages, detector = Stages(), as_detector(detector)
-    warnings = check_views(gaussians, cameras, near=config.near)
+    warnings = [*check_views(gaussians, cameras, near=config.near), *_unusable(gaussians)]
     gaussians = jax.tree.map(jnp.asarray, gaussians)
     chosen = _select(detector, cameras, warnings)
 
@@ -163,6 +163,19 @@ def _disagreement(flagged: dict[str, np.ndarray], masks: dict[str, np.ndarray]) 
     return [
         f"The detector flags {said:.1%} of what the views show, of which {found:.2%} was "
         "confirmed: its masks disagree. A smaller lambda2 asks for less agreement."
+    ]
+
+
+def _unusable(gaussians: Gaussians) -> list[str]:
+    """A warning that counts the rows with values that mean nothing."""
+    reasons = {name: rows for name, rows in invalid_rows(gaussians).items() if rows.any()}
+    if not reasons:
+        return []
+    count = int(np.any(list(reasons.values()), axis=0).sum())
+    counted = ", ".join(f"{int(rows.sum())} {name}" for name, rows in reasons.items())
+    return [
+        f"{count:,} of {len(gaussians):,} Gaussians have values that mean nothing ({counted}); "
+        "`load_ply` would have left them out."
     ]
 
 

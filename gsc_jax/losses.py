@@ -144,7 +144,7 @@ def paper_attributes(gaussians: Gaussians) -> jax.Array:
         gaussians: N Gaussians.
 
     Returns:
-        Shape (11 + 3 K, N); the attribute with the largest unit decides.
+        Shape (11 + 3 K, N), 0 where not finite; the attribute with the largest unit decides.
     """
     return _stack(gaussians, jnp.reshape(gaussians.sh, (len(gaussians), -1)))
 
@@ -156,7 +156,7 @@ def official_attributes(gaussians: Gaussians) -> jax.Array:
         gaussians: N Gaussians.
 
     Returns:
-        Shape (14, N).
+        Shape (14, N), 0 where not finite.
     """
     return _stack(gaussians, jnp.asarray(gaussians.sh)[:, 0])
 
@@ -164,7 +164,9 @@ def official_attributes(gaussians: Gaussians) -> jax.Array:
 def _stack(gaussians: Gaussians, color: jax.Array) -> jax.Array:
     opacities = gaussians.opacities[:, None]
     parts = [gaussians.means, color, opacities, gaussians.scales, gaussians.rotations]
-    return jnp.concatenate(parts, axis=1).T
+    attributes = jnp.concatenate(parts, axis=1).T
+    # No view sees such a row, so it is in no group; but 0 times NaN in a mean is not 0.
+    return jnp.where(jnp.isfinite(attributes), attributes, 0.0)
 
 
 def standardised_attributes(gaussians: Gaussians) -> np.ndarray:
@@ -177,7 +179,7 @@ def standardised_attributes(gaussians: Gaussians) -> np.ndarray:
         gaussians: N Gaussians.
 
     Returns:
-        Shape (14, N); 0 in an attribute that does not vary.
+        Shape (14, N); 0 in an attribute that does not vary, and in rows that are not finite.
     """
     host = jax.tree.map(np.asarray, gaussians)
     rotations = np.asarray(gaussians.rotations)
@@ -187,6 +189,8 @@ def standardised_attributes(gaussians: Gaussians) -> np.ndarray:
     color = 0.5 + Y0 * host.sh[:, 0]
     raw = np.concatenate([host.means, color, logits, log_scales, rotations], axis=1).T
     # On the host: a median is a sort in XLA, ten times slower.
-    centered = raw - np.median(raw, axis=1, keepdims=True)
-    spread = np.median(np.abs(centered), axis=1, keepdims=True)
-    return np.where(spread > 0, centered / np.where(spread > 0, spread, 1.0), 0.0)
+    finite = np.isfinite(raw).all(axis=0)
+    centered = raw - np.median(raw[:, finite], axis=1, keepdims=True)
+    spread = np.median(np.abs(centered[:, finite]), axis=1, keepdims=True)
+    scaled = centered / np.where(spread > 0, spread, 1.0)
+    return np.where((spread > 0) & finite, scaled, np.float32(0))

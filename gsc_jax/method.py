@@ -174,7 +174,7 @@ def _find(given: Given, config: MethodConfig) -> Finding:
     attribute, group_sizes = _optimise(given, config)
     tamper, labels, warnings = _decide(attribute, given.observation.evidence, config.threshold)
     contrasted = group_sizes[resolved(config.loop, len(group_sizes)).contrastive_start :]
-    if len(contrasted) and not contrasted.all(axis=1).any():
+    if labels.any() and len(contrasted) and not contrasted.all(axis=1).any():
         empty = [f"G_{g}" for g, n in zip("hml", contrasted.max(axis=0), strict=True) if not n]
         which = ", ".join(empty) or "always one of them"
         warnings.append(

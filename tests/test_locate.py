@@ -93,6 +93,20 @@ def test_a_huge_but_finite_row_never_becomes_nan(method):
 
 
 @METHOD
+@pytest.mark.parametrize("attributes", ["paper", "official", "standardised"])
+def test_rows_that_are_not_finite_are_counted_and_leave_the_others_alone(method, attributes):
+    config = dataclasses.replace(METHODS[method], attributes=attributes)
+    alone = locate(SCENE, cameras(), truths(), config=config)
+    broken = SCENE
+    for row, (field, value) in enumerate([("means", np.nan), ("sh", np.inf)]):
+        broken = with_row(broken, field, value, row=BEHIND - row)
+    result = locate(broken, cameras(), truths(), config=config)
+    assert np.isfinite(result.attribute).all()
+    assert np.array_equal(result.labels, alone.labels)
+    assert any(text.startswith("2 of 37 Gaussians have values") for text in result.warnings)
+
+
+@METHOD
 def test_a_hidden_gaussian_does_not_set_the_scale(method):
     wall = [[0, 0, 2]] * 4
     behind = [[0, 0, 40 + i] for i in range(30)]

@@ -28,7 +28,13 @@ from gsc_jax.benchmark.baselines import (
     sagd_boundary,
     sagd_vote,
 )
-from gsc_jax.benchmark.metrics import auc, confusion, false_positive_area, mean_over_tampered_views
+from gsc_jax.benchmark.metrics import (
+    auc,
+    confusion,
+    false_positive_area,
+    iou,
+    mean_over_tampered_views,
+)
 from gsc_jax.benchmark.tamper import EDITS, Edit
 from gsc_jax.decide import MIN_COVERAGE
 from gsc_jax.evidence import Evidence
@@ -95,7 +101,20 @@ class FewArgs(Args):
     seeds: int = 1
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Shared:
+    """What the looks at one case share: the views, for a method that has to render, and each other.
+
+    Attributes:
+        views: The views of the cameras.
+        looks: The looks by regime.
+    """
+
+    views: list[View]
+    looks: dict[str, "Look"]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Look:
     """What one set of masks makes of a case: all that a method may know.
 
@@ -103,15 +122,13 @@ class Look:
         case: The case; its truth is for the metrics, and for the upper bound.
         regime: Name of the mask set.
         observation: Evidence, votes and masks.
-        views: The views, for the method that has to render.
-        seconds: What the looking took, shared by all regimes.
+        shared: With the other mask sets.
     """
 
     case: Case
     regime: str
     observation: Observation
-    views: list[View]
-    seconds: float
+    shared: Shared
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -146,7 +163,6 @@ Method = Callable[[Look], Answer]
 def look(case: Case, masks: Mapping[str, np.ndarray]) -> dict[str, Look]:
     """Lift every set of masks (V, H, W) of a case, the blending weights computed once."""
     gaussians, cameras, names = case.gaussians, case.scene.cameras, list(masks)
-    start = time.perf_counter()
     views = [make_view(gaussians, camera) for camera in cameras]
     total = np.zeros((len(cameras), len(gaussians)), np.float32)
     tampered = np.zeros((len(names), *total.shape), np.float32)
@@ -159,22 +175,16 @@ def look(case: Case, masks: Mapping[str, np.ndarray]) -> dict[str, Look]:
         centers, depths = project_centers(gaussians.means, camera.viewmat, camera.K)
         for name, mask in zip(names, flagged, strict=True):
             votes[name] += tally(cast_votes(centers, depths, mask)[None])
-    seconds = time.perf_counter() - start
-    return {
-        name: Look(
-            case=case,
-            regime=name,
-            observation=Observation(
-                evidence=Evidence(total=total, tampered=tampered[k]),
-                votes=votes[name],
-                masks=dict(zip([c.name for c in cameras], masks[name], strict=True)),
-                detections={},
-            ),
-            views=views,
-            seconds=seconds,
+    shared = Shared(views=views, looks={})
+    for name, own in zip(names, tampered, strict=True):
+        observation = Observation(
+            evidence=Evidence(total=total, tampered=own),
+            votes=votes[name],
+            masks=dict(zip([camera.name for camera in cameras], masks[name], strict=True)),
+            detections={},
         )
-        for k, name in enumerate(names)
-    }
+        shared.looks[name] = Look(case=case, regime=name, observation=observation, shared=shared)
+    return shared.looks
 
 
 def labelled(labels: np.ndarray) -> Answer:
@@ -199,15 +209,32 @@ def without_3d(config: MethodConfig) -> MethodConfig:
     return dataclasses.replace(config, loop=dataclasses.replace(config.loop, gamma=0.0))
 
 
-def _sa3d(look: Look, *, gate: bool) -> Answer:
-    masks = list(look.observation.masks.values())
-
-    def overlap(index: int, r: np.ndarray) -> float:
-        rendered = np.asarray(composite(look.views[index], jnp.asarray(r)[:, None]))[..., 0]
-        return confusion(rendered, masks[index]).iou
-
-    r = sa3d(look.observation.evidence, overlap=overlap if gate else None)
+def _painted(r: np.ndarray) -> Answer:
+    """SA3D's answer: a score that is rendered, and thresholded as it is."""
     return Answer(score=r, labels=r > 0, feature=r, level=SA3D_LEVEL, absolute=True)
+
+
+def _sa3d(look: Look) -> Answer:
+    return _painted(sa3d(look.observation.evidence))
+
+
+def _sa3d_gate(look: Look) -> Answer:
+    return _painted(_gated(look.shared)[look.regime])
+
+
+@functools.lru_cache(maxsize=1)
+def _gated(shared: Shared) -> dict[str, np.ndarray]:
+    """Scores of SA3D with its gate, all regimes at once: it renders before every step."""
+    observations = [look.observation for look in shared.looks.values()]
+    masks = [list(observation.masks.values()) for observation in observations]
+
+    def overlap(index: int, r: np.ndarray) -> np.ndarray:
+        rendered = np.asarray(composite(shared.views[index], jnp.asarray(r.T)))
+        return np.array([iou(rendered[..., k], own[index]) for k, own in enumerate(masks)])
+
+    tampered = np.stack([observation.evidence.tampered for observation in observations])
+    evidence = Evidence(total=observations[0].evidence.total, tampered=tampered)
+    return dict(zip(shared.looks, sa3d(evidence, overlap=overlap), strict=True))
 
 
 def _flashsplat(look: Look, *, gamma: float) -> Answer:
@@ -243,8 +270,8 @@ ALL_METHODS: Mapping[str, Method] = {
     "inverse projection": _voted(inverse),
     "mode vote": _voted(mode_vote),
     "SAGD vote": _voted(sagd_vote),
-    "SA3D": functools.partial(_sa3d, gate=False),
-    "SA3D, gate": functools.partial(_sa3d, gate=True),
+    "SA3D": _sa3d,
+    "SA3D, gate": _sa3d_gate,
     "FlashSplat": functools.partial(_flashsplat, gamma=0.0),
     "FlashSplat, gamma 0.4": functools.partial(_flashsplat, gamma=0.4),
     "GS-Checker official": checker(METHODS["official"]),

@@ -397,3 +397,20 @@ def test_boundaries_need_labels_and_a_mask_of_the_right_size():
         sagd_boundary(NEEDLE, SELECTED, WIDE, LEFT[:, 1:])
     with pytest.raises(ValueError, match=r"labels must be \(1,\), got \(2,\)"):
         sagd_boundary(NEEDLE, np.array([True, True]), WIDE, LEFT)
+
+
+def test_sa3d_works_on_sets_of_masks_together_as_on_each_alone():
+    rng = np.random.default_rng(0)
+    total = rng.uniform(0, 9, (VIEWS, COUNT)).astype(np.float32)
+    sets = (rng.random((3, VIEWS, COUNT)) < 0.5) * total
+    agreement = rng.random((3, VIEWS))  # the gate lets other views pass in each set
+
+    def gate(k: int | None):
+        return lambda view, r: agreement[:, view] if k is None else agreement[k, view]
+
+    for gates in ((None, None, None, None), (gate(None), gate(0), gate(1), gate(2))):
+        together = sa3d(Evidence(total=total, tampered=sets), overlap=gates[0])
+        assert together.shape == (3, COUNT)
+        for k, own in enumerate(sets):
+            alone = sa3d(Evidence(total=total, tampered=own), overlap=gates[k + 1])
+            np.testing.assert_allclose(together[k], alone, rtol=1e-5, atol=1e-5)

@@ -18,6 +18,7 @@ from gsc_jax.benchmark.boundary import sagd_boundary
 from gsc_jax.evidence import Evidence
 from gsc_jax.loop import view_order
 from gsc_jax.losses import loss_2d_from_evidence
+from gsc_jax.scene import Array
 from gsc_jax.vote import Tally, official_consensus
 
 __all__ = [
@@ -85,7 +86,7 @@ def sa3d(
     price: float = 0.3,
     learning_rate: float = 1.0,
     passes: int = 2,
-    overlap: Callable[[int, np.ndarray], float] | None = None,
+    overlap: Callable[[int, np.ndarray], Array] | None = None,
 ) -> np.ndarray:
     """SA3D's mask inverse rendering on Gaussians (Cen et al., SA3D, arXiv 2304.12308).
 
@@ -96,38 +97,48 @@ def sa3d(
     the whole scene and cannot say what would then be seen, so here they go on hiding it.
 
     Args:
-        evidence: Of V views, shapes (V, N).
+        evidence: Of V views, shapes (V, N). `tampered` may be that of several sets of masks, shape
+            (S, V, N): each is worked on by itself, but what the gate renders can be rendered once.
         price: Weight of what is rendered outside the masks.
         learning_rate: Of Adam.
         passes: How often each view is looked at.
-        overlap: The gate: given the index of a view and the scores r so far, shape (N,), the IoU of
-            its mask M and R > 0.5, which the caller can render. After the very first step, views
-            below 0.5 are skipped. None: no gate.
+        overlap: The gate: given the index of a view and the scores r so far, shape (N,) or (S, N),
+            the IoU of its mask M and R > 0.5, which the caller can render, scalar or of shape (S,).
+            After the very first step, views below 0.5 are skipped. None: no gate.
 
     Returns:
-        The raw score r, shape (N,), float32; a view shows a mask where R > `SA3D_LEVEL`.
+        The raw score r, shape (N,) or (S, N), float32; a view shows a mask where R > `SA3D_LEVEL`.
     """
     views, count = np.shape(evidence.total)
-    r, kept = jnp.zeros(count), jnp.ones(count, bool)
-    moments = _adam(learning_rate).init(r)
+    shape = (*np.shape(evidence.tampered)[:-2], count)
+    sets = np.reshape(evidence.tampered, (-1, views, count))
+    r, kept = jnp.zeros((len(sets), count)), jnp.ones((len(sets), count), bool)
+    moments = jax.vmap(_adam(learning_rate).init)(r)
     for turn, view in enumerate(view_order(views, epochs=passes).tolist()):
         if turn == views:
             kept = r > 0
             r = jnp.where(kept, r, 0.0)
-        if turn and overlap is not None and overlap(view, np.asarray(r)) < MIN_OVERLAP:
-            continue
-        seen = Evidence(total=evidence.total[view], tampered=evidence.tampered[view])
-        r, moments = _sa3d_step(r, moments, kept, seen, price, learning_rate)
-    return np.asarray(r)
+        agrees = np.ones(len(sets), bool)
+        if turn and overlap is not None:
+            agrees &= np.asarray(overlap(view, np.reshape(r, shape))) >= MIN_OVERLAP
+        if agrees.any():
+            seen = evidence.total[view], sets[:, view]
+            r, moments = _sa3d_step(r, moments, kept, agrees, *seen, price, learning_rate)
+    return np.reshape(r, shape)
 
 
 @jax.jit
-def _sa3d_step(r, moments, kept, evidence: Evidence, price, learning_rate):
+@functools.partial(jax.vmap, in_axes=(0, 0, 0, 0, None, 0, None, None))
+def _sa3d_step(r, moments, kept, agrees, total, tampered, price, learning_rate):
+    evidence = Evidence(total=total, tampered=tampered)
     loss = functools.partial(loss_2d_from_evidence, evidence=evidence, lambda2=price)
     # Adam's bias correction raises a float to an integer power; strict callers need not care.
     with jax.numpy_dtype_promotion("standard"):
-        updates, moments = _adam(learning_rate).update(jax.grad(loss)(r), moments)
-    return jnp.where(kept, r + updates, r), moments
+        updates, stepped = _adam(learning_rate).update(jax.grad(loss)(r), moments)
+    moved = jnp.where(kept, r + updates, r)
+    return jax.tree.map(
+        lambda new, old: jnp.where(agrees, new, old), (moved, stepped), (r, moments)
+    )
 
 
 def _adam(learning_rate) -> optax.GradientTransformation:

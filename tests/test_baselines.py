@@ -406,7 +406,7 @@ def test_sa3d_works_on_sets_of_masks_together_as_on_each_alone():
     agreement = rng.random((3, VIEWS))  # the gate lets other views pass in each set
 
     def gate(k: int | None):
-        return lambda view, r: agreement[:, view] if k is None else agreement[k, view]
+        return lambda view, _r: agreement[:, view] if k is None else agreement[k, view]
 
     for gates in ((None, None, None, None), (gate(None), gate(0), gate(1), gate(2))):
         together = sa3d(Evidence(total=total, tampered=sets), overlap=gates[0])

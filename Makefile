@@ -6,13 +6,14 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: help demo test lint bench clean
+.PHONY: help demo test lint bench results clean
 
 help:
 	@echo 'make demo    find a pasted object in a made scene; pictures go to demo/'
 	@echo 'make test    ruff, pyright and all tests'
 	@echo 'make lint    ruff and pyright'
 	@echo 'make bench   speed of splatting on this machine'
+	@echo 'make results every table and chart of docs/results.md (two to three hours)'
 	@echo 'make clean   remove .venv, demo/ and caches'
 	@echo 'Another interpreter: make test PYTHON=python3.12'
 
@@ -31,6 +32,11 @@ bench: $(VENV)/installed
 	$(BIN)/python benchmarks/splat.py
 	$(BIN)/python benchmarks/pipeline.py
 	$(BIN)/python benchmarks/page.py
+
+results: $(VENV)/installed
+	for name in editing ablation robustness authentic parsimony stability speed_accuracy real_scenes; do \
+	  $(BIN)/python experiments/$$name.py || exit 1; done
+	$(BIN)/python experiments/backbones.py --seeds 1
 
 clean:
 	rm -rf $(VENV) demo build dist *.egg-info .pytest_cache .ruff_cache .hypothesis

@@ -9,15 +9,14 @@ itself, on the views that it was shown; the methods are scored on views that no 
 """
 
 import dataclasses
-import operator
 from collections.abc import Mapping
 from pathlib import Path
 
 import charts
 import tyro
 from cases import Case, detector_masks, masks_of
-from runner import ITSELF, REFERENCE, Args, judge, look
-from tables import Row, pivot, where, write_csv, write_section
+from runner import REFERENCE, Args, judge, look
+from tables import Row, pivot, write_csv, write_section
 
 from gsc_jax.benchmark.difference import DifferenceDetector
 from gsc_jax.benchmark.simulate import PROFILES
@@ -58,15 +57,6 @@ def rows_of(case: Case, networks: Mapping[str, Detector]) -> list[Row]:
     return list(judge(look(case, masks)))
 
 
-def gains(rows: list[Row]) -> list[Row]:
-    """The rows of the methods, with what their F1 is above that of the detector itself."""
-    key = operator.itemgetter("scene", "edit", "seed", "regime")
-    own = {key(row): row["f1"] for row in where(rows, method=ITSELF)}
-    return [
-        {**row, "gain": row["f1"] - own[key(row)]} for row in rows if row["method"] not in REFERENCE
-    ]
-
-
 def report(rows: list[Row]) -> str:
     """The tables."""
     return "\n\n".join(
@@ -76,8 +66,6 @@ def report(rows: list[Row]) -> str:
             "`--onnx` has a column of its name. `difference` knows the original scene, as no "
             "forensic detector does: it shows what lifting makes of good masks.",
             pivot(rows, "method", "regime", reference=REFERENCE),
-            "**F1 gained over the detector itself**",
-            pivot(gains(rows), "method", "regime", metric="gain"),
             "**F1 by kind of edit, all detectors**",
             pivot(rows, "method", "edit", reference=REFERENCE),
         ]

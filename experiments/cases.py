@@ -6,6 +6,7 @@ numbers (scene, edit, seed), so that any row of any table can be made again.
 
 import dataclasses
 import functools
+import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
@@ -109,13 +110,17 @@ def _real(name: str, data: Path) -> tuple[Gaussians, list[Camera], list[Camera]]
 
 
 def donor(scene: Scene, seed: int, data: Path = DATA) -> Gaussians:
-    """An object to paste: by seed a real one, the made vase, or a thing cut from another scene."""
-    made = functools.partial(make_object, seed=seed)
+    """An object to paste: by seed scanned, made, or cut from another scene of the same kind."""
+    siblings = REAL if scene.name in REAL else MADE
+    others = [name for name in siblings if name != scene.name]
+
+    def cut() -> Gaussians:
+        elsewhere = load_scene(others[seed % len(others)], data)
+        return cut_object(elsewhere.gaussians, elsewhere.cameras, seed=seed)
+
+    made: list[Callable[[], Gaussians]] = [functools.partial(make_object, seed=seed)]
     real = [functools.partial(load_ply, data / "objects" / f"{name}.ply") for name in OBJECTS]
-    others = [name for name in available(data) if name != scene.name]
-    elsewhere = load_scene(others[seed % len(others)], data)
-    cut = functools.partial(cut_object, elsewhere.gaussians, elsewhere.cameras, seed=seed)
-    choices: list[Callable[[], Gaussians]] = [*real, cut] if scene.name in REAL else [made, cut]
+    choices = [*(real if scene.name in REAL else made), cut]
     # Different scenes begin with different objects.
     return choices[(seed + sum(scene.name.encode())) % len(choices)]()
 
@@ -202,7 +207,8 @@ def calibrated_mixture(case: Case) -> Failures:
 
 def _seed(case: Case, regime: str) -> int:
     # From the names, so that a regime fails alike whichever others are looked at.
-    return int.from_bytes(f"{case.scene.name} {case.edit} {case.seed} {regime}".encode()) % 2**63
+    key = f"{case.scene.name} {case.edit} {case.seed} {regime}"
+    return int.from_bytes(hashlib.blake2b(key.encode(), digest_size=8).digest())
 
 
 def reduced(

@@ -54,7 +54,6 @@ def curves(
     metric: str = "f1",
     labels: tuple[str, str],
     columns: int = 3,
-    log: bool = False,
 ) -> None:
     """A metric against a number: a panel per title, a line per method, its spread over seeds."""
     names = list(dict.fromkeys(row["method"] for rows in panels.values() for row in rows))
@@ -75,8 +74,6 @@ def curves(
             axis.plot(points, middle, style, marker=MARKERS[k], ms=4, color=color, label=name)
             axis.fill_between(points, middle - around, middle + around, color=color, alpha=0.12)
         axis.set(title=title, xlabel=labels[0], ylabel=labels[1], ylim=(-0.03, 1.03))
-        if log:
-            axis.set_xscale("log")
         axis.grid(visible=True, alpha=0.25)
     figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     save(figure, path)

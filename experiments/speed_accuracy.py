@@ -20,7 +20,16 @@ import jax
 import numpy as np
 import tyro
 from cases import Case, calibrated_mixture, detector_masks, reduced
-from runner import ALL_METHODS, FewArgs, Method, checker, heldout_masks, look, scores
+from runner import (
+    ALL_METHODS,
+    FewArgs,
+    Method,
+    checker,
+    heldout_masks,
+    look,
+    sa3d_gate_alone,
+    scores,
+)
 from tables import Row, markdown, mean, values_of, where, write_csv, write_section
 
 from gsc_jax.method import METHODS
@@ -32,6 +41,7 @@ VOTERS = "inverse projection", "mode vote", "SAGD vote"
 SETTING = "method", "epochs", "views", "scale"
 VARIANTS: dict[tuple[str, int | str], Method] = {
     **{(name, ""): m for name, m in ALL_METHODS.items() if name != "GS-Checker paper"},
+    ("SA3D, gate", ""): sa3d_gate_alone,
     **{
         ("GS-Checker paper", epochs): checker(dataclasses.replace(METHODS["paper"], epochs=epochs))
         for epochs in (1, 2, 5, 10)

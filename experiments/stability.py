@@ -2,9 +2,10 @@
 
     python experiments/stability.py [--quick] [--out docs]
 
-One edit of each scene. Each failure of the detector grows alone, up to an extreme; chance is the
-same at every strength, so that the views that fail at one fail at all greater ones. SA3D's gate is
-left out, since it renders twice per view and strength. The degenerate cases are of the made room.
+One edit of each scene. Each failure of the detector grows alone, up to an extreme; the views that
+are missed, inverted or flagged wrongly at one strength are so at all greater ones (blobs are drawn
+anew). SA3D's gate is left out, since it renders twice per view and strength. The degenerate cases
+are of the made room.
 """
 
 import dataclasses

@@ -47,9 +47,9 @@ def mean(rows: Sequence[Row], metric: str = "f1") -> float:
 
 
 def spread(rows: Sequence[Row], metric: str = "f1") -> float:
-    """Standard deviation over seeds of the mean over everything else."""
-    seeds = sorted({row["seed"] for row in rows})
-    return float(np.std([mean(where(rows, seed=seed), metric) for seed in seeds])) if seeds else 0.0
+    """Standard deviation over seeds of the mean over everything else; 0 for a single seed."""
+    means = [mean(where(rows, seed=seed), metric) for seed in values_of(rows, "seed")]
+    return float(np.std(means, ddof=1)) if len(means) > 1 else 0.0
 
 
 def values_of(rows: Sequence[Row], key: str) -> list[Any]:

@@ -109,7 +109,7 @@ def test_an_edit_is_compact_and_shows_at_about_the_wanted_size(edit):
     assert found.edit == edit
     assert found.visible.shape == (len(cameras),)
     seen = found.visible >= regions.VISIBLE
-    assert seen.mean() >= 0.25
+    assert seen.mean() >= 0.5
     assert SIZE / 2.5 < np.median(found.visible[seen]) < SIZE * 2.5
     truth = truth_mask(found.gaussians, cameras[0], found.labels).mean()
     assert truth == pytest.approx(found.visible[0], abs=1e-9)
@@ -266,8 +266,9 @@ def test_a_linear_warp_is_a_similarity():
     region = dataclasses.replace(grown(), center=np.zeros(3), radius=0.0, towards=axis)
     grown_twice = changing.warped(scene, changing.resized(region, 2.0))
     np.testing.assert_allclose(grown_twice.means, 2 * scene.means, rtol=1e-5)
-    expected = np.sort(scene.log_scales + np.log(2), axis=1)
-    np.testing.assert_allclose(np.sort(grown_twice.log_scales, axis=1), expected, atol=1e-4)
+    # In the order and sense of the original, or the format would tell what was edited.
+    np.testing.assert_allclose(grown_twice.log_scales, scene.log_scales + np.log(2), atol=1e-4)
+    np.testing.assert_allclose(grown_twice.quats, scene.quats, atol=1e-3)
     images = [render(g, camera())[0] for g in (transformed(scene, np.eye(3), 2, np.zeros(3)),)]
     np.testing.assert_allclose(render(grown_twice, camera())[0], images[0], atol=2e-3)
 
@@ -283,6 +284,25 @@ def test_a_warp_moves_the_middle_and_leaves_the_edge(warp):
     assert moved[across > 0.61].max() < 1e-5
     assert moved[(across < 0.4) & (across > 0.1)].min() > 1e-3
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(after))
+    touched = changing._changed(scene, after, region.radius)
+    assert not touched[across > 0.61].any()
+    assert touched[(across < 0.4) & (across > 0.1)].all()
+
+
+def test_level_ground_costs_nothing_and_an_empty_side_the_same_on_all_sides():
+    x, z = np.meshgrid(np.linspace(-1, 1, 41), np.linspace(-1, 1, 41))
+    plane = np.stack([x.ravel(), 0 * x.ravel(), z.ravel()], axis=1)
+    place, up = np.zeros(3), np.array([0, -1.0, 0])
+
+    def cost(points):
+        return pasting.standing_cost(points, place, up, 0.9, 1.0)[0]
+
+    assert cost(plane) == pytest.approx(0, abs=1e-6)
+    side = np.linalg.svd(up[None])[2][1:]
+    sector = np.floor(np.arctan2(*(plane @ side.T).T[::-1]) * pasting.SECTORS / (2 * np.pi))
+    inner = np.linalg.norm(plane, axis=1) < 0.4
+    costs = [cost(plane[inner | (sector % 8 != k)]) for k in range(pasting.SECTORS)]
+    np.testing.assert_allclose(costs, 1 / pasting.SECTORS, atol=1e-3)
 
 
 def test_a_cut_object_is_upright_and_stands_at_the_origin():
@@ -334,7 +354,7 @@ def test_an_edit_that_does_not_come_out_says_what_was_tried():
     wall = blobs(np.column_stack([flat, np.full(500, 4.0)]), opacity=0.9, scale=0.15)
     with pytest.raises(InputError, match=r"no incorporation of 5\.0%.*no level and free ground"):
         tamper(wall, [camera(60, 60, focal=40.0)], "incorporation", donor=vase())
-    with pytest.raises(InputError, match=r"no modification of .* in 6 attempts \(.*; try another"):
+    with pytest.raises(InputError, match=r"no modification of .* in \d attempts \(.*; try another"):
         tamper(wall, [camera(60, 60, focal=40.0)], "modification", size=1e-4)
 
 

@@ -6,6 +6,7 @@ rotation are read from it again.
 """
 
 import dataclasses
+import itertools
 from collections.abc import Callable
 
 import jax
@@ -55,12 +56,14 @@ def modified(gaussians: Gaussians, sight: Sight, size: float, rng: np.random.Gen
         what = f"made {factor:.1f} times as large"
     else:
         after, what = _reshaped(before, region, rng)
+    # A warp that fades out leaves the rim as it was: those rows stay, bit by bit, and authentic.
+    rows = np.flatnonzero(_changed(before, after, region.radius))
     labels = np.zeros(len(gaussians), bool)
-    labels[region.rows] = True
+    labels[region.rows[rows]] = True
     return Draft(
-        _with_rows(gaussians, region.rows, after),
+        _with_rows(gaussians, region.rows[rows], after.take(rows)),
         labels,
-        f"a region of {len(after):,} Gaussians, {what}",
+        f"a region of {len(rows):,} Gaussians, {what}",
         gaussians,
     )
 
@@ -84,13 +87,43 @@ def warped(gaussians: Gaussians, warp: Warp) -> Gaussians:
     axes, scales, _ = np.linalg.svd(
         np.asarray(jacobians, np.float64) @ turns * np.asarray(gaussians.scales)[:, None]
     )
-    axes[..., 2] *= np.sign(np.linalg.det(axes))[:, None]
+    axes, scales = _in_order_of(turns, axes, scales)
+    quats = Rotation.from_matrix(axes).as_quat(scalar_first=True)
+    before = np.asarray(gaussians.quats, np.float64)
+    quats *= np.sign(np.sum(quats * before, axis=1, keepdims=True) + 1e-30)
     return dataclasses.replace(
         gaussians,
         means=np.asarray(moved),
         log_scales=np.log(np.maximum(scales, 1e-30)).astype(np.float32),
-        quats=Rotation.from_matrix(axes).as_quat(scalar_first=True).astype(np.float32),
+        quats=(quats * np.linalg.norm(before, axis=1, keepdims=True)).astype(np.float32),
     )
+
+
+def _in_order_of(
+    turns: np.ndarray, axes: np.ndarray, scales: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Axes and scales in the order and sense of the columns of rotations, shapes (N, 3, 3).
+
+    The decomposition sorts them by size, which would mark a warped Gaussian whatever the warp.
+    """
+    match = np.einsum("nij,nik->njk", turns, axes)
+    orders = np.array(list(itertools.permutations(range(3))))
+    fits = np.abs(match[:, np.arange(3), orders]).sum(axis=-1)
+    order = orders[np.argmax(fits, axis=1)]
+    axes = np.take_along_axis(axes, order[:, None], axis=2)
+    axes = axes * np.sign(np.sum(axes * turns, axis=1, keepdims=True) + 1e-30)
+    axes[..., 2] *= np.sign(np.linalg.det(axes))[:, None]
+    return axes, np.take_along_axis(scales, order, axis=1)
+
+
+def _changed(before: Gaussians, after: Gaussians, radius: float) -> np.ndarray:
+    """The rows whose place, size, rotation or colour is another now, shape (N,)."""
+    tolerances = {"means": 1e-3 * radius, "log_scales": 1e-2, "quats": 1e-2, "sh": 1e-3}
+    differs = [
+        np.abs(np.asarray(getattr(after, name)) - getattr(before, name)) > tolerance
+        for name, tolerance in tolerances.items()
+    ]
+    return np.any([d.reshape(len(d), -1).any(axis=1) for d in differs], axis=0)
 
 
 def recolored(gaussians: Gaussians, rng: np.random.Generator) -> tuple[Gaussians, str]:

@@ -110,7 +110,7 @@ def removed(gaussians: Gaussians, sight: Sight, size: float, rng: np.random.Gene
         f"{len(fill):,} copies of its surroundings"
     )
     scene = concatenate([gaussians.take(rest), fill])
-    return Draft(scene, np.arange(len(scene)) >= len(rest), what)
+    return Draft(scene, np.arange(len(scene)) >= len(rest), what, gaussians)
 
 
 def hole_of(gaussians: Gaussians, region: Region) -> Hole:

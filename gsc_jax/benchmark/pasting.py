@@ -158,7 +158,8 @@ def standing_cost(
     flat = offsets[ground] @ side.T
     outer = flat[np.linalg.norm(flat, axis=1) > 0.5 * radius]
     angles = np.arctan2(outer[:, 1], outer[:, 0])
-    missing = 1 - len(np.unique((angles * SECTORS / (2 * np.pi)).astype(int) % SECTORS)) / SECTORS
+    sectors = np.floor(angles * SECTORS / (2 * np.pi)) % SECTORS
+    missing = 1 - len(np.unique(sectors)) / SECTORS
     tilt = 1 - abs(frame[-1] @ up) if len(frame) == 3 else 1.0
     cost = obstacles / np.count_nonzero(ground) + missing + 4 * tilt
     return float(cost), place + np.median(levels[ground]) * up
@@ -207,13 +208,13 @@ def of_degree(gaussians: Gaussians, degree: int) -> Gaussians:
 
 
 def _pixel_sizes(sight: Sight, places: np.ndarray) -> np.ndarray:
-    """How large a pixel is at places, in world units: the median over the views, shape (P,)."""
+    """How large a pixel is at places, in world units, (P,): the median of the views before them."""
     sizes = []
     for camera in sight.cameras:
         viewmat, K = np.asarray(camera.viewmat, np.float64), np.asarray(camera.K, np.float64)
         depth = places @ viewmat[2, :3] + viewmat[2, 3]
-        sizes.append(np.where(depth > 0, depth, np.inf) / np.sqrt(K[0, 0] * K[1, 1]))
-    return np.median(sizes, axis=0)
+        sizes.append(np.where(depth > 0, depth, np.nan) / np.sqrt(K[0, 0] * K[1, 1]))
+    return np.nanmedian(sizes, axis=0)
 
 
 def _times(turn: np.ndarray, quats: np.ndarray) -> np.ndarray:

@@ -4,8 +4,8 @@ The three edits of the paper: an object from elsewhere is stood into the scene (
 compact region is given other colours, texture, size or shape (modification), a region is taken away
 and the hole closed with copies of its surroundings, which then are the tampered part (removal).
 Everything happens where the cameras look. An edit counts only if enough views show it at about the
-size that was asked for, and a modification only if the colours of pixels change; otherwise another
-place is tried.
+size that was asked for, and a modification or removal only if the colours of pixels change;
+otherwise another place is tried.
 """
 
 import dataclasses
@@ -47,7 +47,7 @@ THING_SIZE = 0.06
 MIN_VIEWS = 0.5
 """The share of the views that must see an edit."""
 MIN_DIFFERENCE = 0.03
-"""Mean absolute difference in RGB that a modification must make where it is seen."""
+"""Mean absolute difference in RGB that a change or removal must make where it is seen."""
 SIZE_FACTOR = 2.5
 """An edit may be larger or smaller than it was wanted by this factor."""
 

@@ -5,11 +5,13 @@ of these two sums and never changes: with them, the whole optimisation needs no 
 """
 
 import functools
+import os
 import tempfile
 
 import jax.numpy as jnp
 import numpy as np
 
+from gsc_jax.errors import InputError
 from gsc_jax.pytree import pytree
 from gsc_jax.scene import Array
 from gsc_jax.splat import accumulate
@@ -65,14 +67,33 @@ def blank_evidence(views: int, count: int, *, in_memory: int = IN_MEMORY) -> Evi
         in_memory: Bytes up to which plain arrays are taken.
 
     Returns:
-        NumPy arrays, shapes (V, N); in the folder of temporary files where they are larger.
+        NumPy arrays, shapes (V, N); in the folder of temporary files where they are larger, which
+        should not be one in memory (TMPDIR names another).
+
+    Raises:
+        InputError: if that folder has no room for them.
     """
     if 8 * views * count <= in_memory:
         total, tampered = np.zeros((2, views, count), np.float32)
         return Evidence(total=total, tampered=tampered)
     with tempfile.TemporaryFile() as file:
-        both = np.memmap(file, np.float32, "w+", shape=(2, views, count))
+        _reserve(file.fileno(), 8 * views * count)
+        both = np.memmap(file, np.float32, "r+", shape=(2, views, count))
     return Evidence(total=both[0], tampered=both[1])
+
+
+def _reserve(file: int, size: int) -> None:
+    """Take the space of a file now: a full disk would kill the process when a page is written."""
+    try:
+        if hasattr(os, "posix_fallocate"):
+            os.posix_fallocate(file, 0, size)
+        else:
+            os.ftruncate(file, size)
+    except OSError as error:
+        raise InputError(
+            f"{tempfile.gettempdir()}: no room for {size / 2**30:.1f} GiB of evidence "
+            f"({error.strerror}); make room, set TMPDIR to another folder, or use fewer views"
+        ) from error
 
 
 def view_evidence(view: View, mask: Array) -> Evidence:

@@ -165,7 +165,7 @@ def _stack(gaussians: Gaussians, color: jax.Array) -> jax.Array:
     opacities = gaussians.opacities[:, None]
     parts = [gaussians.means, color, opacities, gaussians.scales, gaussians.rotations]
     attributes = jnp.concatenate(parts, axis=1).T
-    # No view sees such a row, so it is in no group; but 0 times NaN in a mean is not 0.
+    # Most such rows are seen by no view, but 0 times NaN in the mean of a group would not be 0.
     return jnp.where(jnp.isfinite(attributes), attributes, 0.0)
 
 
@@ -179,7 +179,7 @@ def standardised_attributes(gaussians: Gaussians) -> np.ndarray:
         gaussians: N Gaussians.
 
     Returns:
-        Shape (14, N); 0 in an attribute that does not vary, and in rows that are not finite.
+        Shape (14, N); 0 where it is not finite, and in an attribute that does not vary.
     """
     host = jax.tree.map(np.asarray, gaussians)
     rotations = np.asarray(gaussians.rotations)
@@ -189,8 +189,8 @@ def standardised_attributes(gaussians: Gaussians) -> np.ndarray:
     color = 0.5 + Y0 * host.sh[:, 0]
     raw = np.concatenate([host.means, color, logits, log_scales, rotations], axis=1).T
     # On the host: a median is a sort in XLA, ten times slower.
-    finite = np.isfinite(raw).all(axis=0)
-    centered = raw - np.median(raw[:, finite], axis=1, keepdims=True)
-    spread = np.median(np.abs(centered[:, finite]), axis=1, keepdims=True)
-    scaled = centered / np.where(spread > 0, spread, 1.0)
-    return np.where((spread > 0) & finite, scaled, np.float32(0))
+    usable = raw[:, np.isfinite(raw).all(axis=0)]
+    center = np.median(usable, axis=1, keepdims=True)
+    spread = np.median(np.abs(usable - center), axis=1, keepdims=True)
+    scaled = (raw - center) / np.where(spread > 0, spread, 1.0)
+    return np.where((spread > 0) & np.isfinite(raw), scaled, np.float32(0))

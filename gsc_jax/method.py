@@ -6,8 +6,9 @@ the 3D loss compares (eq. 7 and 8), the schedule of the optimisation (eq. 10 to 
 
 import dataclasses
 import functools
+import threading
 import typing
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Literal
 
@@ -20,7 +21,7 @@ from gsc_jax.losses import official_attributes, paper_attributes, standardised_a
 from gsc_jax.observe import Observation
 from gsc_jax.parallel import WORKERS, ahead
 from gsc_jax.projection import NEAR
-from gsc_jax.scene import Camera, Gaussians
+from gsc_jax.scene import Array, Camera, Gaussians
 from gsc_jax.tiles import View, make_view
 from gsc_jax.vote import official_consensus, paper_consensus
 
@@ -160,14 +161,25 @@ class Given:
 
     def __init__(self, gaussians: Gaussians, cameras: Sequence[Camera], observation: Observation):
         self.gaussians, self.cameras, self.observation = gaussians, cameras, observation
-        self.attributes = functools.cache(lambda name: ATTRIBUTES[name](gaussians))
-        self.initial = functools.cache(self._initial)
+        self.attributes = _once(lambda name: ATTRIBUTES[name](gaussians))
+        self.initial = _once(self._initial)
 
     def _initial(self, consensus: str) -> np.ndarray:
         # The vote knows no occlusion; a Gaussian that no view sees has no evidence to be moved by,
         # and would keep its votes and set the scale for all others.
         seen = self.observation.evidence.seen
         return np.where(seen, CONSENSUS[consensus](self.observation.votes), np.float32(0))
+
+
+def _once(function: Callable[[str], Array]) -> Callable[[str], Array]:
+    """The function, which is called once for each argument, also by several threads."""
+    cached, lock = functools.cache(function), threading.Lock()
+
+    def call(argument: str) -> Array:
+        with lock:
+            return cached(argument)
+
+    return call
 
 
 def _find(given: Given, config: MethodConfig) -> Finding:

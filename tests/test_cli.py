@@ -7,6 +7,7 @@ import json
 import shutil
 import subprocess
 import sys
+import typing
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,10 +19,11 @@ from numpy.lib import recfunctions
 from onnx import TensorProto, helper, numpy_helper
 from plyfile import PlyData, PlyElement
 
-from gsc_jax.app import cli, outputs
+from gsc_jax.app import cli, options, outputs
 from gsc_jax.app.pictures import overlay
 from gsc_jax.app.progress import Bars
 from gsc_jax.benchmark.metrics import f1_score, truth_mask
+from gsc_jax.benchmark.simulate import REGIMES
 from gsc_jax.io.cameras import load_cameras, save_cameras
 from gsc_jax.io.layout import encode
 from gsc_jax.io.masks import image_path, read_probability, write_mask
@@ -664,6 +666,10 @@ def test_help_teaches(command, capsys):
         assert "{paper,official}" in text
         assert "0.2" in text
         assert "world units" in text
+
+
+def test_the_masks_of_tamper_are_the_regimes():
+    assert typing.get_args(options.Regime) == ("none", *REGIMES)
 
 
 class Terminal(io.StringIO):

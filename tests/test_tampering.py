@@ -65,6 +65,51 @@ def test_a_vase_is_pasted_by_default_and_any_object_on_request(room, tmp_path):
     assert account["object"] == str(room / "scene.ply")
 
 
+def test_a_second_edit_leaves_nothing_of_the_first(room, tmp_path):
+    cameras = ["--cameras", room / "cameras.json", "--edit", "modification", "--out", tmp_path]
+    assert run("tamper", room / "scene.ply", *cameras).code == 0
+    assert len(list((tmp_path / "masks").glob("*.png"))) == 6
+    answer = run("tamper", room / "scene.ply", *cameras, "--views", 4, "--masks", "none")
+    assert answer.code == 0
+    assert not list((tmp_path / "masks").glob("*.png"))
+    assert len(list((tmp_path / "truth").glob("*.png"))) == 4
+    listed = json.loads((tmp_path / "edit.json").read_text())["outputs"]
+    files = {p.relative_to(tmp_path).as_posix() for p in tmp_path.rglob("*") if p.is_file()}
+    assert set(listed) == files
+
+
+def test_the_near_plane_counts(room, tmp_path):
+    cameras = ["--cameras", room / "cameras.json", "--edit", "modification"]
+    message = refused("tamper", room / "scene.ply", *cameras, "--near", 50, "--out", tmp_path / "o")
+    assert str(room / "cameras.json") in message
+    assert not (tmp_path / "o").exists()
+
+
+def test_what_is_read_and_what_locate_wrote_is_left_alone(room, tmp_path):
+    shutil.copytree(room, tmp_path / "mine")
+    before = (tmp_path / "mine" / "cameras.json").read_bytes()
+    # The folder of the cameras is the folder of the results.
+    message = refused(
+        "tamper", room / "scene.ply", "--cameras", tmp_path / "mine", "--out", tmp_path / "mine"
+    )
+    assert "another --out" in message
+    assert (tmp_path / "mine" / "cameras.json").read_bytes() == before
+    (tmp_path / "found").mkdir()
+    (tmp_path / "found" / "result.json").write_text("{}")
+    cameras = ["--cameras", room / "cameras.json", "--out", tmp_path / "found"]
+    assert "results of `locate`" in refused("tamper", room / "scene.ply", *cameras)
+
+
+def test_an_object_that_is_none_is_refused(room, tmp_path):
+    save_ply(tmp_path / "speck.ply", make_room(count=6_000).take(np.arange(3)))
+    message = refused(
+        "tamper", room / "scene.ply", "--cameras", room / "cameras.json", "--out", tmp_path / "o",
+        "--object", tmp_path / "speck.ply",
+    )  # fmt: skip
+    assert "speck.ply" in message
+    assert "expected a .ply of one thing" in message
+
+
 def test_bad_input_is_one_line(room, tmp_path):
     scene, out = room / "scene.ply", tmp_path / "out"
     cameras = ["--cameras", room / "cameras.json"]

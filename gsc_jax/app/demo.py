@@ -18,6 +18,7 @@ from gsc_jax.app.outputs import evenly
 from gsc_jax.app.pictures import contact_sheet, overlay
 from gsc_jax.app.run import run_locate
 from gsc_jax.app.tampering import write_said, write_scene, write_truth
+from gsc_jax.benchmark.baselines import inverse
 from gsc_jax.benchmark.metrics import confusion, mean_over_tampered_views, truth_mask
 from gsc_jax.benchmark.scenes import MadeScene, tampered_room
 from gsc_jax.benchmark.simulate import REGIMES, decoy_labels, simulate
@@ -28,7 +29,7 @@ from gsc_jax.projection import project_centers
 from gsc_jax.scene import Camera
 from gsc_jax.splat import render
 from gsc_jax.stages import Progress, silent
-from gsc_jax.vote import TAMPERED, cast_votes
+from gsc_jax.vote import cast_votes, no_votes, tally
 
 REGIME = "mixture"
 METHODS_SHOWN: tuple[Method, ...] = ("official", "paper")
@@ -154,12 +155,11 @@ def inverse_projection(case: Case) -> np.ndarray:
     Returns:
         Labels, shape (N,) bool.
     """
-    labels = np.zeros(len(case.made.labels), bool)
+    votes = no_votes(len(case.made.labels))
     for camera in case.made.cameras:
-        centers, depths = project_centers(case.made.gaussians.means, camera.viewmat, camera.K)
-        votes = cast_votes(centers, depths, case.detector[camera.name] > 0.5)
-        labels |= np.asarray(votes) == TAMPERED
-    return labels
+        place = project_centers(case.made.gaussians.means, camera.viewmat, camera.K)
+        votes += tally(cast_votes(*place, case.detector[camera.name] > 0.5)[None])
+    return inverse(votes)
 
 
 def _heldout_masks(case: Case, tamper: np.ndarray, labels: np.ndarray, rule: MaskRule) -> Views:

@@ -13,7 +13,7 @@ import math
 import platform
 import shutil
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -68,7 +68,9 @@ def refuse_overlap(out: Path, inputs: Sequence[Path], *, written: Sequence[str] 
         InputError: naming the input that is in the way.
     """
     results = [(out / name).resolve() for name in written]
-    for path in inputs:
+    # A folder is read for what is in it: DIR/cameras.json, where that is what the run writes.
+    inside = [folder / name for folder in inputs for name in written if folder.is_dir()]
+    for path in [*inputs, *(path for path in inside if path.exists())]:
         if any(path.resolve() == one or one in path.resolve().parents for one in results):
             raise InputError(
                 f"{path}: is read and would be overwritten by the results; give another --out "
@@ -77,12 +79,21 @@ def refuse_overlap(out: Path, inputs: Sequence[Path], *, written: Sequence[str] 
 
 
 @contextlib.contextmanager
-def replacing(out: Path, *, keep: Sequence[Path] = ()) -> Iterator[Path]:
+def replacing(
+    out: Path,
+    *,
+    keep: Sequence[Path] = (),
+    report: str = "result.json",
+    by_camera: Sequence[str] = BY_CAMERA,
+) -> Iterator[Path]:
     """A folder to write into, whose files go to `out` when the block ends well.
 
     Args:
         out: The folder of results, made where missing.
         keep: Files and folders that the run reads; none of them is removed as a leftover.
+        report: The file that lists the `outputs`; it comes last, so that it never tells of what is
+            not there.
+        by_camera: Folders with a picture per camera, of which an earlier run may have left some.
 
     Yields:
         An empty folder inside `out`.
@@ -98,7 +109,9 @@ def replacing(out: Path, *, keep: Sequence[Path] = ()) -> Iterator[Path]:
         raise InputError(f"{out}: {_cannot(error)}") from error
     try:
         yield folder
-        _publish(folder, out, keep)
+        leftovers = set(_earlier(out / report, by_camera)).difference(files_below(folder))
+        _publish(folder, out, report)
+        _remove(out, leftovers, keep)
     except InputError as error:
         raise InputError(str(error).replace(str(folder), str(out))) from error
     finally:
@@ -173,7 +186,7 @@ def write_report(folder: Path, command: dict[str, Any], located: Located) -> Non
         "stages": located.stages,
         "warnings": located.warnings,
         "versions": _versions(),
-        "outputs": sorted([*_files(folder), "result.json"]),
+        "outputs": sorted([*files_below(folder), "result.json"]),
     }
     with atomic(folder / "result.json") as temporary:
         text = json.dumps(_plain(report), indent=2, allow_nan=False, ensure_ascii=False)
@@ -242,21 +255,26 @@ def _save_array(path: Path, values: np.ndarray) -> None:
         np.save(temporary, values)
 
 
-def _files(folder: Path) -> list[str]:
+def files_below(folder: Path) -> list[str]:
     """Files below a folder by relative path with slashes."""
     paths = (path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
     return sorted(path.as_posix() for path in paths)
 
 
-def _publish(folder: Path, out: Path, keep: Sequence[Path]) -> None:
-    """Moves the new files to their places, the report last, and removes leftovers."""
-    written = _files(folder)
-    given = [path.resolve() for path in keep]
-    leftovers = set(_earlier(out)).difference(written)
+def _publish(folder: Path, out: Path, report: str) -> None:
+    """Moves the new files to their places, the report last."""
     try:
-        for name in sorted(written, key=lambda name: name == "result.json"):
+        for name in sorted(files_below(folder), key=lambda name: name == report):
             (out / name).parent.mkdir(parents=True, exist_ok=True)
             (folder / name).replace(out / name)
+    except OSError as error:
+        raise InputError(f"{out}: {_cannot(error)}") from error
+
+
+def _remove(out: Path, leftovers: Iterable[str], keep: Sequence[Path]) -> None:
+    """Removes what an earlier run wrote and this one did not, unless this one reads it."""
+    given = [path.resolve() for path in keep]
+    try:
         for name in leftovers:
             path = (out / name).resolve()
             if not any(path.is_relative_to(place) for place in given):
@@ -265,14 +283,14 @@ def _publish(folder: Path, out: Path, keep: Sequence[Path]) -> None:
         raise InputError(f"{out}: {_cannot(error)}") from error
 
 
-def _earlier(out: Path) -> list[str]:
+def _earlier(report: Path, by_camera: Sequence[str]) -> list[str]:
     """What an earlier run wrote into the folder and a later one may not write again."""
     try:
-        outputs = json.loads((out / "result.json").read_text(encoding="utf-8"))["outputs"]
+        outputs = json.loads(report.read_text(encoding="utf-8"))["outputs"]
         paths = [PurePosixPath(name) for name in outputs]
     except (OSError, ValueError, LookupError, TypeError):
         return []  # there is none, or the file is somebody else's
-    own = [path for path in paths if path.parts[0] in BY_CAMERA and path.suffix == ".png"]
+    own = [path for path in paths if path.parts[0] in by_camera and path.suffix == ".png"]
     own += [path for path in paths if path == PurePosixPath("cameras.json")]
     return [str(path) for path in own if ".." not in path.parts]
 

@@ -68,7 +68,7 @@ def run_locate(options: Locate, *, progress: Progress = silent) -> Located:
     cameras = (
         chosen_cameras(options, detector.select(cameras), warnings) if options.views else cameras
     )
-    with _about(options.cameras or options.scene):
+    with about(options.cameras or options.scene):
         check_views(scene.gaussians, cameras, near=options.near)  # locate repeats its warnings
     with replacing(options.out, keep=inputs) as folder:
         result = locate(
@@ -115,7 +115,7 @@ def run_render(options: Render, *, progress: Progress = silent) -> tuple[int, li
         raise InputError(f"--background {options.background}: expected three numbers from 0 to 1")
     scene, cameras = load_scene(options, warnings, progress)
     cameras = chosen_cameras(options, cameras, warnings) if options.views else cameras
-    with _about(options.cameras or options.scene):
+    with about(options.cameras or options.scene):
         warnings += check_views(scene.gaussians, cameras, near=options.near)
     if options.cameras is None:
         save_cameras(options.out / "cameras.json", cameras)
@@ -159,7 +159,7 @@ def load_scene(
         warnings.append(f"{options.scene}: has a property tamper already; results replace it")
     progress("load", 1, 2)
     cameras = _cameras(options, scene.gaussians, warnings)
-    with _about(options.cameras or options.scene):
+    with about(options.cameras or options.scene):
         _check_names(cameras)
     progress("load", 2, 2)
     return scene, cameras
@@ -229,7 +229,7 @@ def _spec(options: Locate) -> OnnxSpec:
     if not options.spec:
         return PLAIN
     path = existing_file(options.spec, expected="a detector spec (.toml)")
-    with _about(path):
+    with about(path):
         try:
             return OnnxSpec.from_table(tomllib.loads(path.read_text(encoding="utf-8")))
         except ValueError as error:
@@ -263,7 +263,7 @@ def _check_names(cameras: Sequence[Camera]) -> None:
 
 
 @contextlib.contextmanager
-def _about(path: Path) -> Iterator[None]:
+def about(path: Path) -> Iterator[None]:
     """Puts the file in question before the message of an InputError."""
     try:
         yield

@@ -11,10 +11,11 @@ import jax
 import numpy as np
 
 from gsc_jax.app.options import Tamper
-from gsc_jax.app.outputs import evenly, refuse_overlap, replacing
+from gsc_jax.app.outputs import evenly, files_below, refuse_overlap, replacing
 from gsc_jax.app.pictures import contact_sheet, overlay
-from gsc_jax.app.run import check_look, chosen_cameras, load_scene
+from gsc_jax.app.run import about, check_look, chosen_cameras, load_scene
 from gsc_jax.benchmark.metrics import truth_mask
+from gsc_jax.benchmark.pasting import extent
 from gsc_jax.benchmark.scenes import make_object
 from gsc_jax.benchmark.simulate import REGIMES, decoy_labels, simulate
 from gsc_jax.benchmark.tamper import Tampered, tamper
@@ -26,6 +27,7 @@ from gsc_jax.io.ply import load_ply, save_ply
 from gsc_jax.scene import Camera, Gaussians
 from gsc_jax.splat import render
 from gsc_jax.stages import Progress, silent
+from gsc_jax.views import check_views
 
 OUTPUTS = ("scene.ply", "cameras.json", "labels.npy", "masks", "truth")
 ROWS = 4
@@ -46,38 +48,54 @@ def run_tamper(options: Tamper, *, progress: Progress = silent) -> tuple[list[st
     """
     warnings: list[str] = []
     check_look(options)
-    _check(options)
+    read = _check(options)
     scene, cameras = load_scene(options, warnings, progress)
     cameras = chosen_cameras(options, cameras, warnings) if options.views else cameras
-    progress("edit", 0, 1)
-    edited = tamper(
-        scene.gaussians,
-        cameras,
-        options.edit,
-        donor=_donor(options),
-        size=options.size,
-        seed=options.seed,
-    )
-    progress("edit", 1, 1)
-    with replacing(options.out) as folder:
+    donor = _donor(options)
+    leaves = {"report": "edit.json", "by_camera": ("masks", "truth")}
+    with replacing(options.out, keep=read, **leaves) as folder:
+        progress("edit", 0, 1)
+        with about(options.cameras or options.scene):
+            warnings += check_views(scene.gaussians, cameras, near=options.near)
+            edited = tamper(
+                scene.gaussians,
+                cameras,
+                options.edit,
+                donor=donor,
+                size=options.size,
+                near=options.near,
+                seed=options.seed,
+            )
+        progress("edit", 1, 1)
         _write(folder, options, scene.gaussians, edited, cameras, progress)
     return _story(options, edited), warnings
 
 
-def _check(options: Tamper) -> None:
-    """Refuses what could be seen before anything is read."""
+def _check(options: Tamper) -> list[Path]:
+    """Refuses what can be seen before anything is read; the paths that will be read."""
     if options.object is not None and options.edit != "incorporation":
         raise InputError(f"--object: a {options.edit} pastes nothing, leave it out")
     if not 0 < options.size <= 0.5:
         raise InputError(f"--size {options.size:g}: expected a share of the pixels, 0 to 0.5")
-    given = [options.scene, options.cameras, options.object]
-    refuse_overlap(options.out, [path for path in given if path is not None], written=OUTPUTS)
+    if (options.out / "result.json").exists():
+        raise InputError(f"{options.out}: holds results of `locate`; give another --out")
+    given = (options.scene, options.cameras, options.object)
+    read = [path for path in given if path is not None]
+    refuse_overlap(options.out, read, written=OUTPUTS)
+    return read
 
 
 def _donor(options: Tamper) -> Gaussians | None:
     if options.edit != "incorporation":
         return None
-    return load_ply(options.object) if options.object else make_object(seed=options.seed)
+    if options.object is None:
+        return make_object(seed=options.seed)
+    donor = load_ply(options.object)
+    try:
+        extent(donor)
+    except ValueError as error:
+        raise InputError(f"{options.object}: {error}; expected a .ply of one thing") from error
+    return donor
 
 
 def _write(
@@ -89,26 +107,35 @@ def _write(
     progress: Progress,
 ) -> None:
     """The scene, the truth, the masks of a detector that errs, and a picture."""
-    gaussians = jax.device_put(edited.gaussians)
-    decoy = decoy_labels(edited.gaussians, edited.labels, seed=options.seed)
-    truth, suspicious = [], []
-    for done, camera in enumerate(cameras, start=1):
-        truth.append(truth_mask(gaussians, camera, edited.labels))
-        suspicious.append(truth_mask(gaussians, camera, decoy))
-        progress("truth", done, len(cameras))
+    gaussians, names = jax.device_put(edited.gaussians), [camera.name for camera in cameras]
+
+    def masks(labels: np.ndarray, stage: str) -> np.ndarray:
+        found = []
+        for camera in cameras:
+            found.append(truth_mask(gaussians, camera, labels, near=options.near))
+            progress(stage, len(found), len(cameras))
+        return np.stack(found)
+
+    truth = masks(edited.labels, "truth")
     write_scene(folder, edited.gaussians, cameras, edited.labels)
-    names = [camera.name for camera in cameras]
     write_truth(folder / "truth", dict(zip(names, truth, strict=True)))
     if options.masks != "none":
-        said = simulate(
-            np.stack(truth),
-            np.stack(suspicious),
-            seed=options.seed,
-            failures=REGIMES[options.masks],
-        )
+        failures = REGIMES[options.masks]
+        decoy = masks(_decoy(options, edited), "decoy") if failures.decoy else None
+        said = simulate(truth, decoy, seed=options.seed, failures=failures)
         write_said(folder / "masks", dict(zip(names, said, strict=True)))
-    _write_account(folder / "edit.json", options, edited, names)
-    _write_picture(folder / "overview.png", original, edited, cameras)
+    _write_picture(folder / "overview.png", original, edited, cameras, options.near)
+    _write_account(folder, options, edited, names)
+
+
+def _decoy(options: Tamper, edited: Tampered) -> np.ndarray:
+    """An authentic region that the detector takes for tampered."""
+    try:
+        return decoy_labels(edited.gaussians, edited.labels, seed=options.seed)
+    except ValueError as error:
+        raise InputError(
+            f"{options.scene}: {error}, so no detector can be wrong about it; choose --masks clean"
+        ) from error
 
 
 def write_scene(
@@ -140,7 +167,7 @@ def write_said(folder: Path, said: Mapping[str, np.ndarray]) -> None:
         write_probability(image_path(folder, name), probability)
 
 
-def _write_account(path: Path, options: Tamper, edited: Tampered, names: Sequence[str]) -> None:
+def _write_account(folder: Path, options: Tamper, edited: Tampered, names: Sequence[str]) -> None:
     account = {
         "description": edited.description,
         "edit": edited.edit,
@@ -152,21 +179,24 @@ def _write_account(path: Path, options: Tamper, edited: Tampered, names: Sequenc
         "gaussians": len(edited.labels),
         "tampered": int(edited.labels.sum()),
         "visible": dict(zip(names, edited.visible.round(5).tolist(), strict=True)),
+        "outputs": [*files_below(folder), "edit.json"],
     }
-    with atomic(path) as temporary:
+    with atomic(folder / "edit.json") as temporary:
         temporary.write_text(json.dumps(account, indent=2) + "\n")
 
 
 def _write_picture(
-    path: Path, original: Gaussians, edited: Tampered, cameras: Sequence[Camera]
+    path: Path, original: Gaussians, edited: Tampered, cameras: Sequence[Camera], near: float
 ) -> None:
     """Before, after and the truth, in the views that show most of the edit."""
     best = np.argsort(-edited.visible, kind="stable")
     shown = evenly([cameras[i] for i in best[: max(ROWS, len(best) // 2)]], ROWS)
     rows = []
     for camera in shown:
-        before, after = (np.asarray(render(g, camera)[0]) for g in (original, edited.gaussians))
-        marked = overlay(after, truth_mask(edited.gaussians, camera, edited.labels))
+        scenes = original, edited.gaussians
+        before, after = (np.asarray(render(s, camera, near=near)[0]) for s in scenes)
+        truth = truth_mask(edited.gaussians, camera, edited.labels, near=near)
+        marked = overlay(after, truth)
         rows.append([before, after, marked])
     names = [camera.name for camera in shown]
     contact_sheet(path, rows, titles=("before", "after", "tampered"), labels=names)

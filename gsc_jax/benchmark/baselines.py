@@ -86,7 +86,7 @@ def sa3d(
     price: float = 0.3,
     learning_rate: float = 1.0,
     passes: int = 2,
-    overlap: Callable[[int, np.ndarray], Array] | None = None,
+    overlap: Callable[[int, np.ndarray], Array | float] | None = None,
 ) -> np.ndarray:
     """SA3D's mask inverse rendering on Gaussians (Cen et al., SA3D, arXiv 2304.12308).
 

@@ -27,8 +27,11 @@ class Unsuitable(Exception):  # noqa: N818 - no error: the next attempt may do
 
 
 def visible_shares(
-    gaussians: Gaussians, cameras: Sequence[Camera], labels: np.ndarray
+    gaussians: Gaussians, cameras: Sequence[Camera], labels: np.ndarray, *, near: float
 ) -> np.ndarray:
     """The share of the pixels of each view that show something tampered, shape (V,)."""
-    masks = over_views(lambda camera: truth_mask(gaussians, camera, labels).mean(), cameras)
-    return np.array(masks, np.float64)
+
+    def share(camera: Camera) -> float:
+        return float(truth_mask(gaussians, camera, labels, near=near).mean())
+
+    return np.array(over_views(share, cameras), np.float64)

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gsc_jax.decide import rendered_share
+from gsc_jax.projection import NEAR
 from gsc_jax.scene import Array, Camera, Gaussians
 
 EPSILON = 1e-8
@@ -170,19 +171,22 @@ def auc(scores: Array, truth: Array) -> float:
     return float(wins / (positives * negatives))
 
 
-def truth_mask(gaussians: Gaussians, camera: Camera, labels: Array) -> np.ndarray:
+def truth_mask(
+    gaussians: Gaussians, camera: Camera, labels: Array, *, near: float = NEAR
+) -> np.ndarray:
     """Where a view shows something tampered, from the labels of the Gaussians.
 
     Args:
         gaussians: N Gaussians.
         camera: The view.
         labels: True where tampered, shape (N,).
+        near: Near plane in world units.
 
     Returns:
         True where more than half of what covers the pixel is tampered and it is covered at all
         (alpha > 0.1), shape (H, W) bool.
     """
-    return rendered_share(gaussians, camera, labels) > 0.5
+    return rendered_share(gaussians, camera, labels, near=near) > 0.5
 
 
 def _binary(values: Array) -> np.ndarray:

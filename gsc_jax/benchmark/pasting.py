@@ -104,7 +104,9 @@ def incorporated(
         return concatenate([gaussians, pasted])
 
     for _ in range(RESIZES):
-        appears = typical_share(visible_shares(stood(scale), sight.cameras[::2], labels))
+        appears = typical_share(
+            visible_shares(stood(scale), sight.cameras[::2], labels, near=sight.near)
+        )
         scale *= np.clip(np.sqrt(size / max(appears, 1e-6)), 0.5, 2)
     what = f"an object of {len(donor):,} Gaussians stood into it, turned by {angle:.0f} degrees"
     return Draft(stood(scale), labels, what)

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from gsc_jax.parallel import WORKERS, ahead
+from gsc_jax.projection import NEAR
 from gsc_jax.scene import Camera, Gaussians, invalid_rows
 from gsc_jax.sh import Y0
 from gsc_jax.splat import accumulate
@@ -49,12 +50,14 @@ class Sight:
         focus: The chance that somebody who picks a view and then a pixel near its middle picks
             this Gaussian, shape (N,); 0 for those that few views see or that are not opaque.
         up: Unit vector, shape (3,).
+        near: Near plane in world units.
     """
 
     cameras: list[Camera]
     shares: np.ndarray
     focus: np.ndarray
     up: np.ndarray
+    near: float = NEAR
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -76,23 +79,24 @@ class Region:
     towards: np.ndarray
 
 
-def look(gaussians: Gaussians, cameras: Sequence[Camera]) -> Sight:
+def look(gaussians: Gaussians, cameras: Sequence[Camera], *, near: float = NEAR) -> Sight:
     """Look at a scene through some of its cameras.
 
     Args:
         gaussians: N Gaussians.
         cameras: All cameras; the level of the horizon is taken from all of them.
+        near: Near plane in world units.
 
     Returns:
         What `VIEWS` of them, evenly taken, see.
     """
     few = np.unique(np.linspace(0, len(cameras) - 1, min(VIEWS, len(cameras))).astype(int))
     small = [scaled_down(cameras[view]) for view in few]
-    sums = np.stack(over_views(lambda camera: _weights(gaussians, camera), small))
+    sums = np.stack(over_views(lambda camera: _weights(gaussians, camera, near), small))
     shares, middle = np.moveaxis(sums * _sound(gaussians)[None, :, None], -1, 0)
     often = (shares > 0).mean(axis=0)
     focus = middle.sum(axis=0) * often**2 * (np.asarray(gaussians.opacities) > 0.5)
-    return Sight(cameras=small, shares=shares, focus=focus, up=upwards(cameras))
+    return Sight(cameras=small, shares=shares, focus=focus, up=upwards(cameras), near=near)
 
 
 def upwards(cameras: Sequence[Camera]) -> np.ndarray:
@@ -168,12 +172,13 @@ def grow(
     )
 
 
-def _weights(gaussians: Gaussians, camera: Camera) -> np.ndarray:
+def _weights(gaussians: Gaussians, camera: Camera, near: float) -> np.ndarray:
     """Shares of the pixels of each Gaussian, in all and around the middle, shape (N, 2)."""
     rows, columns = np.indices((camera.height, camera.width)) + 0.5
     off = np.hypot(2 * columns / camera.width - 1, 2 * rows / camera.height - 1)
     maps = np.stack([np.ones_like(off), np.exp(-2 * off**2)], axis=-1) / off.size
-    return np.asarray(accumulate(make_view(gaussians, camera), jnp.asarray(maps, jnp.float32)))
+    view = make_view(gaussians, camera, near=near)
+    return np.asarray(accumulate(view, jnp.asarray(maps, jnp.float32)))
 
 
 def _sound(gaussians: Gaussians) -> np.ndarray:

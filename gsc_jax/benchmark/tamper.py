@@ -31,6 +31,7 @@ from gsc_jax.benchmark.regions import (
     typical_share,
 )
 from gsc_jax.errors import InputError
+from gsc_jax.projection import NEAR
 from gsc_jax.scene import Camera, Gaussians
 from gsc_jax.splat import render
 from gsc_jax.views import check_views
@@ -78,6 +79,7 @@ def tamper(
     *,
     donor: Gaussians | None = None,
     size: float = 0.05,
+    near: float = NEAR,
     seed: int = 0,
 ) -> Tampered:
     """Tamper with a scene where its cameras look.
@@ -89,6 +91,7 @@ def tamper(
         donor: The object to paste, upright with up = -y, of any place, scale and degree; for an
             incorporation, and only for it.
         size: Median share of the pixels that the edit is to cover in the views that see it.
+        near: Near plane in world units.
         seed: What chance follows.
 
     Returns:
@@ -106,10 +109,10 @@ def tamper(
     if (donor is not None) != (edit == "incorporation"):
         need = "needs a donor to paste" if donor is None else "has no use for a donor"
         raise ValueError(f"{edit} {need}")
-    check_views(gaussians, cameras)
+    check_views(gaussians, cameras, near=near)
     # With the count, so that one seed does not mean one kind of edit in all scenes.
     rng = np.random.default_rng([seed, EDITS.index(edit), len(gaussians)])
-    sight = _looked(gaussians, cameras)
+    sight = _looked(gaussians, cameras, near)
     tried = []
     for _ in range(ATTEMPTS):
         try:
@@ -129,12 +132,15 @@ def tamper(
     )
 
 
-def cut_object(gaussians: Gaussians, cameras: Sequence[Camera], *, seed: int) -> Gaussians:
+def cut_object(
+    gaussians: Gaussians, cameras: Sequence[Camera], *, near: float = NEAR, seed: int
+) -> Gaussians:
     """Cut a compact thing out of a scene, to be pasted into another one.
 
     Args:
         gaussians: The scene.
         cameras: Its cameras, mostly held level.
+        near: Near plane in world units.
         seed: What chance follows.
 
     Returns:
@@ -144,17 +150,17 @@ def cut_object(gaussians: Gaussians, cameras: Sequence[Camera], *, seed: int) ->
     Raises:
         InputError: if the cameras do not see the scene.
     """
-    check_views(gaussians, cameras)
+    check_views(gaussians, cameras, near=near)
     rng = np.random.default_rng([seed, len(EDITS)])
-    sight = _looked(gaussians, cameras)
+    sight = _looked(gaussians, cameras, near)
     seeds = pick(sight, THINGS, rng)
     regions = [grow(gaussians, sight, row, THING_SIZE, contrast=CONTRAST) for row in seeds]
     things = [gaussians.take(np.sort(region.rows)) for region in regions]
     return set_upright(max(things, key=_bodiness), sight.up)
 
 
-def _looked(gaussians: Gaussians, cameras: Sequence[Camera]) -> Sight:
-    sight = look(gaussians, cameras)
+def _looked(gaussians: Gaussians, cameras: Sequence[Camera], near: float) -> Sight:
+    sight = look(gaussians, cameras, near=near)
     if not sight.focus.any():
         raise InputError("the cameras see nothing opaque near the middle of their images")
     return sight
@@ -162,9 +168,8 @@ def _looked(gaussians: Gaussians, cameras: Sequence[Camera]) -> Sight:
 
 def _checked(draft: Draft, cameras: Sequence[Camera], sight: Sight, size: float) -> np.ndarray:
     """The share of each camera that shows the edit."""
-    visible = visible_shares(
-        draft.gaussians, [scaled_down(camera) for camera in cameras], draft.labels
-    )
+    small = [scaled_down(camera) for camera in cameras]
+    visible = visible_shares(draft.gaussians, small, draft.labels, near=sight.near)
     seen = np.mean(visible >= VISIBLE)
     if seen < MIN_VIEWS:
         raise Unsuitable(f"{draft.what}: seen in {seen:.0%} of the views")
@@ -182,10 +187,11 @@ def _difference(draft: Draft, original: Gaussians, sight: Sight) -> float:
     """Mean absolute difference in RGB inside the edit, over the views that see it."""
 
     def differs(camera: Camera) -> float:
-        inside = truth_mask(draft.gaussians, camera, draft.labels)
+        inside = truth_mask(draft.gaussians, camera, draft.labels, near=sight.near)
         if inside.mean() < VISIBLE:
             return np.nan
-        images = (np.asarray(render(g, camera)[0]) for g in (draft.gaussians, original))
+        scenes = draft.gaussians, original
+        images = (np.asarray(render(scene, camera, near=sight.near)[0]) for scene in scenes)
         return float(np.abs(np.subtract(*images))[inside].mean())
 
     values = np.array(over_views(differs, sight.cameras[::2]))

@@ -18,8 +18,8 @@ import numpy as np
 import tyro
 from cases import Case, detector_masks, untouched
 from matplotlib import pyplot as plt
-from runner import ITSELF, TRUTH, Args, judge, look
-from tables import Row, mean, pivot, values_of, where, write_csv, write_section
+from runner import ITSELF, TRUTH, Args, judge, look, measured
+from tables import Row, mean, pivot, values_of, where, write_section
 
 from gsc_jax.benchmark.simulate import REGIMES
 
@@ -74,10 +74,8 @@ def chart(rows: list[Row], path: Path) -> None:
 
 def main(args: Args) -> None:
     """Judge every untouched scene; print and write the tables and the chart."""
-    rows = []
-    for imagined in args.cases(edits=("modification",)):
-        rows += rows_of(untouched(imagined))
-    write_csv(args.out / "authentic.csv", rows)
+    cases = args.cases(edits=("modification",))
+    rows = measured(args, "authentic", (rows_of(untouched(imagined)) for imagined in cases))
     text = report(rows)
     print(text)
     write_section(args.out / "results.md", "authentic", text)

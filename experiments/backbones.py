@@ -15,8 +15,8 @@ from pathlib import Path
 import charts
 import tyro
 from cases import Case, detector_masks, masks_of
-from runner import REFERENCE, Args, judge, look
-from tables import Row, pivot, write_csv, write_section
+from runner import REFERENCE, Args, judge, look, measured
+from tables import Row, pivot, write_section
 
 from gsc_jax.benchmark.difference import DifferenceDetector
 from gsc_jax.benchmark.simulate import PROFILES
@@ -75,8 +75,7 @@ def report(rows: list[Row]) -> str:
 def main(args: BackboneArgs) -> None:
     """Judge every case behind every detector; print and write the tables and the chart."""
     networks = args.networks()
-    rows = [row for case in args.cases() for row in rows_of(case, networks)]
-    write_csv(args.out / "backbones.csv", rows)
+    rows = measured(args, "backbones", (rows_of(case, networks) for case in args.cases()))
     warnings = [f"Warning: {text}" for network in networks.values() for text in network.warnings]
     text = "\n\n".join([report(rows), *warnings])
     print(text)

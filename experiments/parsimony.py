@@ -18,9 +18,19 @@ import jax
 import numpy as np
 import tyro
 from cases import Case, calibrated_mixture, detector_masks, reduced
-from runner import ALL_METHODS, Answer, FewArgs, Look, checker, heldout_masks, labelled, look
+from runner import (
+    ALL_METHODS,
+    Answer,
+    FewArgs,
+    Look,
+    checker,
+    heldout_masks,
+    labelled,
+    look,
+    measured,
+)
 from speed_accuracy import CLOSE
-from tables import Row, markdown, mean, values_of, where, write_csv, write_section
+from tables import Row, markdown, mean, values_of, where, write_section
 
 from gsc_jax.benchmark.metrics import mean_over_tampered_views
 from gsc_jax.benchmark.simulate import REGIMES
@@ -128,8 +138,8 @@ def table(rows: Sequence[Row]) -> str:
 def main(args: FewArgs) -> None:
     """Cut every case; print and write the tables and the chart."""
     shares = (0.2, 0.6, 1.0) if args.quick else SHARES
-    rows = [row for case in args.one_edit_each() for row in rows_of(case, shares)]
-    write_csv(args.out / "parsimony.csv", rows)
+    cases = args.one_edit_each()
+    rows = measured(args, "parsimony", (rows_of(case, shares) for case in cases))
     text = "\n\n".join(
         f"**Least share from which on F1 is at most {CLOSE} below that of all, {regime} masks; "
         f"and the best share where fewer is better**\n\n{table(where(rows, regime=regime))}"

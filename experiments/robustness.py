@@ -20,8 +20,8 @@ import jax
 import jax.numpy as jnp
 import tyro
 from cases import Case, calibrated_mixture, detector_masks, masks_of
-from runner import REFERENCE, Args, judge, look
-from tables import Row, pivot, values_of, where, write_csv, write_section
+from runner import REFERENCE, Args, judge, look, measured
+from tables import Row, pivot, values_of, where, write_section
 
 from gsc_jax.benchmark.difference import DifferenceDetector
 from gsc_jax.benchmark.distort import DISTORTIONS
@@ -92,8 +92,8 @@ def report(rows: list[Row]) -> str:
 
 def main(args: Args) -> None:
     """Judge every modification; print and write the tables and the chart."""
-    rows = [row for case in args.cases(edits=("modification",)) for row in rows_of(case)]
-    write_csv(args.out / "robustness.csv", rows)
+    cases = args.cases(edits=("modification",))
+    rows = measured(args, "robustness", (rows_of(case) for case in cases))
     text = report(rows)
     print(text)
     write_section(args.out / "results.md", "robustness", text)

@@ -8,14 +8,14 @@ channels scores them in a held-out view.
 import dataclasses
 import functools
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from cases import DATA, QUICK, Case, available, make_case
-from tables import Row
+from tables import Row, read_csv, write_csv
 from tqdm import tqdm
 
 from gsc_jax.benchmark.baselines import (
@@ -66,6 +66,7 @@ class Args:
         scenes: Which scenes; all that are there by default.
         edits: Which kinds of edit.
         seeds: How many seeds per scene and edit.
+        reprint: Measure nothing: make the tables and charts again of the CSV in the folder.
     """
 
     quick: bool = False
@@ -74,6 +75,7 @@ class Args:
     scenes: tuple[str, ...] = ()
     edits: tuple[Edit, ...] = EDITS
     seeds: int = 3
+    reprint: bool = False
 
     def cases(self, edits: Sequence[Edit] | None = None) -> Iterator[Case]:
         """The cases covered, scene by scene; in a quick run one edit of one made scene each."""
@@ -89,6 +91,18 @@ class Args:
             if not (self.quick and k):
                 one = dataclasses.replace(self, scenes=(scene,))
                 yield from one.cases([self.edits[k % len(self.edits)]])
+
+
+def measured(args: Args, name: str, per_case: Iterable[Iterable[Row]]) -> list[Row]:
+    """The rows of all cases, written to OUT/NAME.csv after each; or those written there before."""
+    path = args.out / f"{name}.csv"
+    if args.reprint:
+        return read_csv(path)
+    rows: list[Row] = []
+    for more in per_case:
+        rows += more
+        write_csv(path, rows)
+    return rows
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -27,10 +27,11 @@ from runner import (
     checker,
     heldout_masks,
     look,
+    measured,
     sa3d_gate_alone,
     scores,
 )
-from tables import Row, markdown, mean, values_of, where, write_csv, write_section
+from tables import Row, markdown, mean, values_of, where, write_section
 
 from gsc_jax.method import METHODS
 from gsc_jax.projection import project_centers
@@ -131,8 +132,8 @@ def label(point: Row) -> str:
 def main(args: FewArgs) -> None:
     """Time every case; print and write the tables and the chart."""
     counts, scales = ((4, 8), (0.5, 1.0)) if args.quick else (VIEWS, SCALES)
-    rows = [row for case in args.one_edit_each() for row in rows_of(case, counts, scales)]
-    write_csv(args.out / "speed_accuracy.csv", rows)
+    cases = args.one_edit_each()
+    rows = measured(args, "speed_accuracy", (rows_of(case, counts, scales) for case in cases))
     points = averaged(rows)
     front = front_of(points)
     text = (

@@ -17,8 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 from cases import Case, detector_masks, reduced
-from runner import ALL_METHODS, REFERENCE, FewArgs, judge, look
-from tables import Row, markdown, mean, values_of, where, write_csv, write_section
+from runner import ALL_METHODS, REFERENCE, FewArgs, judge, look, measured
+from tables import Row, markdown, mean, values_of, where, write_section
 
 from gsc_jax.benchmark.metrics import truth_mask
 from gsc_jax.benchmark.simulate import REGIMES, Failures
@@ -138,8 +138,8 @@ def breaking_table(rows: Sequence[Row]) -> str:
 def main(args: FewArgs) -> None:
     """Strain every case; print and write the tables and the chart."""
     strengths = STRENGTHS[::2] if args.quick else STRENGTHS
-    rows = [row for case in args.one_edit_each() for row in rows_of(case, strengths)]
-    write_csv(args.out / "stability.csv", rows)
+    cases = args.one_edit_each()
+    rows = measured(args, "stability", (rows_of(case, strengths) for case in cases))
     room = next(dataclasses.replace(args, scenes=("room",)).cases(("modification",)))
     text = (
         "**Strength at which F1 falls below half of what it is without failures**\n\n"

@@ -14,7 +14,6 @@ from typing import Any
 
 import charts
 import numpy as np
-import tyro
 from cases import Case, calibrated_mixture, detector_masks
 from runner import (
     REFERENCE,
@@ -28,6 +27,7 @@ from runner import (
     labelled,
     look,
     measured,
+    start,
     without_3d,
 )
 from tables import Row, pivot, where, write_section
@@ -153,4 +153,4 @@ def main(args: Args) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Args, description=__doc__))
+    start(main, __doc__)

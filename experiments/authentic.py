@@ -15,10 +15,9 @@ from pathlib import Path
 
 import charts
 import numpy as np
-import tyro
 from cases import Case, detector_masks, untouched
 from matplotlib import pyplot as plt
-from runner import ITSELF, TRUTH, Args, judge, look, measured
+from runner import ITSELF, TRUTH, Args, judge, look, measured, start
 from tables import Row, mean, pivot, values_of, where, write_section
 
 from gsc_jax.benchmark.simulate import REGIMES
@@ -83,4 +82,4 @@ def main(args: Args) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Args, description=__doc__))
+    start(main, __doc__)

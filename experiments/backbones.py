@@ -13,9 +13,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import charts
-import tyro
 from cases import Case, detector_masks, masks_of
-from runner import REFERENCE, Args, judge, look, measured
+from runner import REFERENCE, Args, judge, look, measured, start
 from tables import Row, pivot, write_section
 
 from gsc_jax.benchmark.difference import DifferenceDetector
@@ -84,4 +83,4 @@ def main(args: BackboneArgs) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(BackboneArgs, description=__doc__))
+    start(main, __doc__)

@@ -11,9 +11,8 @@ that none of them saw: flagged is where more than half of what a pixel shows is 
 import functools
 
 import charts
-import tyro
 from cases import Case, calibrated_mixture, detector_masks
-from runner import ITSELF, REFERENCE, Args, judge, look, measured, sagd
+from runner import ITSELF, REFERENCE, Args, judge, look, measured, sagd, start
 from tables import Row, pivot, values_of, where, write_section
 
 from gsc_jax.benchmark.simulate import REGIMES
@@ -95,4 +94,4 @@ def main(args: Args) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Args, description=__doc__))
+    start(main, __doc__)

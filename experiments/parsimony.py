@@ -16,7 +16,6 @@ from collections.abc import Iterator, Mapping, Sequence
 import charts
 import jax
 import numpy as np
-import tyro
 from cases import Case, calibrated_mixture, detector_masks, reduced
 from runner import (
     ALL_METHODS,
@@ -28,6 +27,7 @@ from runner import (
     labelled,
     look,
     measured,
+    start,
 )
 from speed_accuracy import CLOSE
 from tables import Row, markdown, mean, values_of, where, write_section
@@ -157,4 +157,4 @@ def main(args: FewArgs) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(FewArgs, description=__doc__))
+    start(main, __doc__)

@@ -1,4 +1,4 @@
-"""The methods on the two real tampered scenes, beside the detector's masks and the naive inverse.
+"""The methods on the two real tampered scenes, beside the detector's masks and the baselines.
 
     python experiments/real_scenes.py [--data ../shared/data/tampered] [--out docs]
 
@@ -18,6 +18,7 @@ import tyro
 from tables import write_csv, write_section
 
 from gsc_jax import METHODS, FolderDetector, MethodConfig, load_cameras, load_ply, view_mask
+from gsc_jax.benchmark.baselines import flashsplat, inverse, mode_vote, sa3d
 from gsc_jax.benchmark.metrics import confusion
 from gsc_jax.io.masks import read_probability
 from gsc_jax.method import find
@@ -82,14 +83,25 @@ def variants() -> Iterator[tuple[str, MethodConfig]]:
         )
 
 
+def baselines(observation: Observation) -> dict[str, np.ndarray]:
+    """Labels of the other methods, on the same votes and evidence."""
+    votes, evidence = observation.votes, observation.evidence
+    return {
+        "naive inverse projection": inverse(votes),
+        "mode vote": mode_vote(votes),
+        "SA3D": sa3d(evidence) > 0,
+        "FlashSplat": flashsplat(evidence),
+    }
+
+
 def predictions(scene: Scene) -> Iterator[tuple[str, int, str, list[np.ndarray]]]:
     """Masks of every method: (method, seed, kind of views, a mask per view)."""
     said = [scene.observation.masks[c.name] for c in scene.cameras["looked at"]]
     yield "detector masks", 0, "looked at", said
-    inverse = np.asarray(scene.observation.votes.tampered > 0)
-    for kind, cameras in scene.cameras.items():
-        masks = [view_mask(scene.gaussians, c, inverse, inverse, rule="share") for c in cameras]
-        yield "naive inverse projection", 0, kind, masks
+    for name, labels in baselines(scene.observation).items():
+        for kind, cameras in scene.cameras.items():
+            masks = [view_mask(scene.gaussians, c, labels, labels, rule="share") for c in cameras]
+            yield name, 0, kind, masks
     for name, config in variants():
         for seed in range(SEEDS if config.shuffle else 1):
             seeded = dataclasses.replace(config, seed=seed)

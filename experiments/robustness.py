@@ -18,9 +18,8 @@ from collections.abc import Iterable, Iterator
 import charts
 import jax
 import jax.numpy as jnp
-import tyro
 from cases import Case, calibrated_mixture, detector_masks, masks_of
-from runner import REFERENCE, Args, judge, look, measured
+from runner import REFERENCE, Args, judge, look, measured, start
 from tables import Row, pivot, values_of, where, write_section
 
 from gsc_jax.benchmark.difference import DifferenceDetector
@@ -101,4 +100,4 @@ def main(args: Args) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Args, description=__doc__))
+    start(main, __doc__)

@@ -7,13 +7,17 @@ channels scores them in a held-out view.
 
 import dataclasses
 import functools
+import inspect
 import itertools
+import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import tyro
 from cases import DATA, QUICK, Case, available, make_case
 from tables import Row, read_csv, write_csv
 from tqdm import tqdm
@@ -36,7 +40,9 @@ from gsc_jax.benchmark.metrics import (
 )
 from gsc_jax.benchmark.tamper import EDITS, Edit
 from gsc_jax.decide import MIN_COVERAGE
+from gsc_jax.errors import InputError
 from gsc_jax.evidence import Evidence
+from gsc_jax.io.files import existing_file
 from gsc_jax.method import METHODS, MethodConfig, find
 from gsc_jax.observe import Observation
 from gsc_jax.projection import project_centers
@@ -45,6 +51,7 @@ from gsc_jax.splat import accumulate, composite, composite_with_alpha
 from gsc_jax.tiles import View, make_view
 from gsc_jax.vote import cast_votes, no_votes, tally
 
+DOCS = Path(__file__).resolve().parents[1] / "docs"
 CHANNELS = 32
 """Answers composited at once."""
 ITSELF = "the detector itself"
@@ -70,7 +77,7 @@ class Args:
     """
 
     quick: bool = False
-    out: Path = Path("docs")
+    out: Path = DOCS
     data: Path = DATA
     scenes: tuple[str, ...] = ()
     edits: tuple[Edit, ...] = EDITS
@@ -94,15 +101,30 @@ class Args:
 
 
 def measured(args: Args, name: str, per_case: Iterable[Iterable[Row]]) -> list[Row]:
-    """The rows of all cases, written to OUT/NAME.csv after each; or those written there before."""
-    path = args.out / f"{name}.csv"
+    """The rows of all cases, kept in OUT/NAME.partial.csv on the way; or those measured before."""
+    path, partial = args.out / f"{name}.csv", args.out / f"{name}.partial.csv"
     if args.reprint:
-        return read_csv(path)
+        return read_csv(existing_file(path, expected="rows measured before"))
+    if args.quick and path.exists():
+        raise InputError(f"{path}: is there; a quick run would replace it, give another --out")
+    args.out.mkdir(parents=True, exist_ok=True)
     rows: list[Row] = []
     for more in per_case:
         rows += more
-        write_csv(path, rows)
+        write_csv(partial, rows)
+    if not rows:
+        raise InputError("nothing to measure: --scenes, --edits and --seeds leave no case")
+    partial.replace(path)
     return rows
+
+
+def start(main: Callable[[Any], None], description: str | None) -> None:
+    """Run a script from the command line: its arguments are those of its `main`."""
+    (takes,) = inspect.signature(main).parameters.values()
+    try:
+        main(tyro.cli(takes.annotation, description=description))
+    except InputError as error:
+        sys.exit(f"{Path(sys.argv[0]).name}: {error}")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

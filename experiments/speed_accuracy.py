@@ -18,7 +18,6 @@ from typing import Any
 import charts
 import jax
 import numpy as np
-import tyro
 from cases import Case, calibrated_mixture, detector_masks, reduced
 from runner import (
     ALL_METHODS,
@@ -30,6 +29,7 @@ from runner import (
     measured,
     sa3d_gate_alone,
     scores,
+    start,
 )
 from tables import Row, markdown, mean, values_of, where, write_section
 
@@ -148,4 +148,4 @@ def main(args: FewArgs) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(FewArgs, description=__doc__))
+    start(main, __doc__)

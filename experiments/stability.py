@@ -15,9 +15,8 @@ import charts
 import jax
 import jax.numpy as jnp
 import numpy as np
-import tyro
 from cases import Case, detector_masks, reduced
-from runner import ALL_METHODS, REFERENCE, FewArgs, judge, look, measured
+from runner import ALL_METHODS, REFERENCE, FewArgs, judge, look, measured, start
 from tables import Row, markdown, mean, values_of, where, write_section
 
 from gsc_jax.benchmark.metrics import truth_mask
@@ -155,4 +154,4 @@ def main(args: FewArgs) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(FewArgs, description=__doc__))
+    start(main, __doc__)

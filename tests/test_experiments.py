@@ -11,6 +11,7 @@ import pytest
 
 from gsc_jax.benchmark.simulate import PROFILES, REGIMES
 from gsc_jax.detection import as_detector
+from gsc_jax.errors import InputError
 from gsc_jax.observe import observe
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -138,6 +139,8 @@ def test_every_script_runs_in_quick_mode(name, tmp_path):
     script = importlib.import_module(name)
     (takes,) = inspect.signature(script.main).parameters.values()
     script.main(takes.annotation(quick=True, out=tmp_path))
+    with pytest.raises(InputError, match="another --out"):
+        script.main(takes.annotation(quick=True, out=tmp_path))
     again = (tmp_path / "results.md").read_text()
     script.main(takes.annotation(quick=True, reprint=True, out=tmp_path))
     assert (tmp_path / "results.md").read_text() == again, "reprinting changed the page"

@@ -260,6 +260,16 @@ def test_a_moved_scene_looks_the_same_to_a_camera_moved_with_it(motion):
     assert difference.max() < 0.02
 
 
+def test_a_pasted_object_does_not_tell_by_its_numbers():
+    scene = room()[0]
+    length = np.linalg.norm(scene.quats, axis=1, keepdims=True)
+    unit = dataclasses.replace(scene, quats=scene.quats / length)
+    pasted = pasting._in_the_manner_of(unit, vase())
+    np.testing.assert_allclose(np.linalg.norm(pasted.quats, axis=1), 1, atol=1e-5)
+    odd = dataclasses.replace(scene, quats=2 * scene.quats / length)
+    assert np.array_equal(pasting._in_the_manner_of(odd, vase()).quats, vase().quats)
+
+
 def test_a_linear_warp_is_a_similarity():
     scene = random_scene(30, degree=0)
     axis = np.array([0.6, 0.0, 0.8])

@@ -50,6 +50,7 @@ def test_locate_reads_what_tamper_writes(edited, tmp_path):
     _, out, answer = edited
     command = answer.out.splitlines()[-1].split()
     assert command[:4] == ["find", "it", "gsc-jax", "locate"]
+    assert "its truth" in refused(*command[3:-1], out)
     assert run(*command[3:-1], tmp_path / "found").code == 0
     assert len(np.load(tmp_path / "found" / "labels.npy")) == len(np.load(out / "labels.npy"))
 
@@ -98,6 +99,13 @@ def test_what_is_read_and_what_locate_wrote_is_left_alone(room, tmp_path):
     (tmp_path / "found" / "result.json").write_text("{}")
     cameras = ["--cameras", room / "cameras.json", "--out", tmp_path / "found"]
     assert "results of `locate`" in refused("tamper", room / "scene.ply", *cameras)
+
+
+def test_files_of_other_people_are_not_overwritten(room, tmp_path):
+    (tmp_path / "scene.ply").write_text("mine")
+    cameras = ["--cameras", room / "cameras.json", "--out", tmp_path]
+    assert "scene.ply: is there" in refused("tamper", room / "scene.ply", *cameras)
+    assert (tmp_path / "scene.ply").read_text() == "mine"
 
 
 def test_an_object_that_is_none_is_refused(room, tmp_path):

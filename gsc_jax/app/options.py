@@ -139,7 +139,8 @@ class Tamper(Look):
 
     An incorporation stands an object into the scene, a modification changes a region in colour,
     texture, size or shape, a removal takes a region away and closes the hole. The edit happens
-    where the cameras look; the rows of the file are shuffled, so that their order tells nothing.
+    where the cameras look, and the rows of the file are shuffled. It is an edit of what is seen: a
+    file can still tell, for instance by the precision of its numbers.
 
     for example:
       gsc-jax tamper scene.ply --cameras cameras.json --edit removal \
@@ -163,7 +164,8 @@ class Tamper(Look):
         size: Share of the pixels that the edit is to cover, in the median of the views that see
             it.
         masks: What the simulated detector does wrong: nothing (clean), one thing (boundary,
-            misses, blobs, consistent, inverted) or everything (mixture); none writes no masks.
+            misses, blobs, consistent, inverted) or everything (mixture), at the strengths of
+            docs/results.md, not calibrated per edit; none writes no masks.
         cameras: cameras.json, transforms.json, a COLMAP model (extra `colmap`), or a folder that
             holds one of them. Without, cameras are placed around the scene.
         views: Use this many cameras only, evenly spread. Of an orbit, this many are made, by

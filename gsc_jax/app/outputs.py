@@ -185,11 +185,11 @@ def write_report(folder: Path, command: dict[str, Any], located: Located) -> Non
         "seconds": located.seconds,
         "stages": located.stages,
         "warnings": located.warnings,
-        "versions": _versions(),
+        "versions": versions(),
         "outputs": sorted([*files_below(folder), "result.json"]),
     }
     with atomic(folder / "result.json") as temporary:
-        text = json.dumps(_plain(report), indent=2, allow_nan=False, ensure_ascii=False)
+        text = json.dumps(plain(report), indent=2, allow_nan=False, ensure_ascii=False)
         temporary.write_text(text + "\n", encoding="utf-8")
 
 
@@ -226,7 +226,8 @@ def _view(camera: Camera, result: Result) -> dict[str, Any]:
     }
 
 
-def _versions() -> dict[str, str]:
+def versions() -> dict[str, str]:
+    """What this ran on: packages, Python, platform and device."""
     versions = {name: importlib.metadata.version(name) for name in PACKAGES}
     device = jax.devices()[0]
     return {
@@ -237,12 +238,12 @@ def _versions() -> dict[str, str]:
     }
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """The same for JSON, which knows neither paths nor numbers that are not finite."""
     if isinstance(value, dict):
-        return {str(key): _plain(entry) for key, entry in value.items()}
+        return {str(key): plain(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(entry) for entry in value]
+        return [plain(entry) for entry in value]
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, float) and not math.isfinite(value):

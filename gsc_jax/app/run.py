@@ -58,6 +58,10 @@ def run_locate(options: Locate, *, progress: Progress = silent) -> Located:
     """
     stages, warnings = Stages(), []
     check_look(options)
+    if (options.out / "edit.json").exists():
+        raise InputError(
+            f"{options.out}: holds an edit of `tamper` and its truth; give another --out"
+        )
     config = _config(options)
     paths = (options.scene, options.cameras, options.masks, options.detector, options.spec)
     inputs = [path for path in paths if path]

@@ -3,7 +3,9 @@
 What it writes is what `locate` reads, and what its results can be compared with.
 """
 
+import dataclasses
 import json
+import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -11,7 +13,14 @@ import jax
 import numpy as np
 
 from gsc_jax.app.options import Tamper
-from gsc_jax.app.outputs import evenly, files_below, refuse_overlap, replacing
+from gsc_jax.app.outputs import (
+    evenly,
+    files_below,
+    plain,
+    refuse_overlap,
+    replacing,
+    versions,
+)
 from gsc_jax.app.pictures import contact_sheet, overlay
 from gsc_jax.app.run import about, check_look, chosen_cameras, load_scene
 from gsc_jax.benchmark.metrics import truth_mask
@@ -24,6 +33,7 @@ from gsc_jax.io.cameras import save_cameras
 from gsc_jax.io.files import atomic
 from gsc_jax.io.masks import image_path, write_mask, write_probability
 from gsc_jax.io.ply import load_ply, save_ply
+from gsc_jax.projection import NEAR
 from gsc_jax.scene import Camera, Gaussians
 from gsc_jax.splat import render
 from gsc_jax.stages import Progress, silent
@@ -57,6 +67,7 @@ def run_tamper(options: Tamper, *, progress: Progress = silent) -> tuple[list[st
         progress("edit", 0, 1)
         with about(options.cameras or options.scene):
             warnings += check_views(scene.gaussians, cameras, near=options.near)
+        with about(options.scene):
             edited = tamper(
                 scene.gaussians,
                 cameras,
@@ -67,6 +78,9 @@ def run_tamper(options: Tamper, *, progress: Progress = silent) -> tuple[list[st
                 seed=options.seed,
             )
         progress("edit", 1, 1)
+        if edited.labels.mean() > 0.5:
+            share = f"{edited.labels.mean():.0%}"
+            warnings.append(f"{share} of the Gaussians are tampered; the scene is small for this")
         _write(folder, options, scene.gaussians, edited, cameras, progress)
     return _story(options, edited), warnings
 
@@ -76,9 +90,16 @@ def _check(options: Tamper) -> list[Path]:
     if options.object is not None and options.edit != "incorporation":
         raise InputError(f"--object: a {options.edit} pastes nothing, leave it out")
     if not 0 < options.size <= 0.5:
-        raise InputError(f"--size {options.size:g}: expected a share of the pixels, 0 to 0.5")
+        raise InputError(
+            f"--size {options.size:g}: expected a share of the pixels above 0, up to 0.5"
+        )
     if (options.out / "result.json").exists():
         raise InputError(f"{options.out}: holds results of `locate`; give another --out")
+    there = [name for name in OUTPUTS if (options.out / name).exists()]
+    if there and not (options.out / "edit.json").exists():
+        raise InputError(
+            f"{options.out / there[0]}: is there, and no edit of ours; give another --out"
+        )
     given = (options.scene, options.cameras, options.object)
     read = [path for path in given if path is not None]
     refuse_overlap(options.out, read, written=OUTPUTS)
@@ -170,19 +191,16 @@ def write_said(folder: Path, said: Mapping[str, np.ndarray]) -> None:
 def _write_account(folder: Path, options: Tamper, edited: Tampered, names: Sequence[str]) -> None:
     account = {
         "description": edited.description,
-        "edit": edited.edit,
-        "scene": str(options.scene),
-        "object": str(options.object) if options.object else None,
-        "size": options.size,
-        "seed": options.seed,
-        "masks": options.masks,
+        "command": dataclasses.asdict(options),
+        "failures": None if options.masks == "none" else dataclasses.asdict(REGIMES[options.masks]),
         "gaussians": len(edited.labels),
         "tampered": int(edited.labels.sum()),
         "visible": dict(zip(names, edited.visible.round(5).tolist(), strict=True)),
+        "versions": versions(),
         "outputs": [*files_below(folder), "edit.json"],
     }
     with atomic(folder / "edit.json") as temporary:
-        temporary.write_text(json.dumps(account, indent=2) + "\n")
+        temporary.write_text(json.dumps(plain(account), indent=2) + "\n", encoding="utf-8")
 
 
 def _write_picture(
@@ -197,9 +215,9 @@ def _write_picture(
         before, after = (np.asarray(render(s, camera, near=near)[0]) for s in scenes)
         truth = truth_mask(edited.gaussians, camera, edited.labels, near=near)
         marked = overlay(after, truth)
-        rows.append([before, after, marked])
+        rows.append([before, after, np.abs(after - before).mean(axis=-1), marked])
     names = [camera.name for camera in shown]
-    contact_sheet(path, rows, titles=("before", "after", "tampered"), labels=names)
+    contact_sheet(path, rows, titles=("before", "after", "difference", "tampered"), labels=names)
 
 
 def _story(options: Tamper, edited: Tampered) -> list[str]:
@@ -212,8 +230,8 @@ def _story(options: Tamper, edited: Tampered) -> list[str]:
     ]
     if options.masks == "none":
         return lines
-    return [
-        *lines,
-        f"find it  gsc-jax locate {out / 'scene.ply'} --cameras {out / 'cameras.json'} "
-        f"--masks {out / 'masks'} --out found",
-    ]
+    found = out.with_name(f"{out.name}-found")
+    command = ["gsc-jax", "locate", out / "scene.ply", "--cameras", out / "cameras.json"]
+    command += ["--masks", out / "masks", "--out", found]
+    command += ["--near", options.near] if options.near != NEAR else []
+    return [*lines, f"find it  {shlex.join(map(str, command))}"]

@@ -4,6 +4,9 @@ Each is as its authors define it, so that a difference in a table is one of meth
 blending weights. Inverse and SAGD count the votes of `gsc_jax.vote`; SA3D and FlashSplat need what
 each Gaussian contributes inside and outside of the masks, which is the evidence. SAGD has a second
 half, which changes the Gaussians at the border of a mask: `sagd_boundary`.
+
+    observation = observe(gaussians, cameras, as_detector(masks))  # gsc_jax.observe, .detection
+    mode_vote(observation.votes), flashsplat(observation.evidence)
 """
 
 import functools

@@ -96,12 +96,13 @@ def incorporated(
         raise Unsuitable("no level and free ground is in view")
     angle = rng.uniform(0, 360)
     turn = turn_between(np.array([0, -1.0, 0]), sight.up) @ _about_y(np.radians(angle))
-    donor = of_degree(donor, gaussians.sh_degree)
+    donor = _in_the_manner_of(gaussians, donor)
     labels = np.arange(len(gaussians) + len(donor)) >= len(gaussians)
 
     def stood(scale: float) -> Gaussians:
         pasted = transformed(donor, turn, scale, ground - scale * turn @ foot)
-        return concatenate([gaussians, pasted])
+        # After the turn, so that bands that the object does not have are exactly 0.
+        return concatenate([gaussians, of_degree(pasted, gaussians.sh_degree)])
 
     for _ in range(RESIZES):
         appears = typical_share(
@@ -207,6 +208,17 @@ def of_degree(gaussians: Gaussians, degree: int) -> Gaussians:
     wanted, sh = (degree + 1) ** 2, np.asarray(gaussians.sh)[:, : (degree + 1) ** 2]
     padded = np.pad(sh, ((0, 0), (0, wanted - sh.shape[1]), (0, 0)))
     return dataclasses.replace(gaussians, sh=padded)
+
+
+def _in_the_manner_of(scene: Gaussians, thing: Gaussians) -> Gaussians:
+    """The thing with quaternions of unit length where those of the scene are.
+
+    Any length is the same rotation, but would tell where a row comes from.
+    """
+    lengths = np.linalg.norm(np.asarray(scene.quats), axis=1)
+    if np.quantile(np.abs(lengths - 1), 0.9) > 1e-3:
+        return thing
+    return dataclasses.replace(thing, quats=np.asarray(thing.rotations, np.float32))
 
 
 def _pixel_sizes(sight: Sight, places: np.ndarray) -> np.ndarray:

@@ -127,13 +127,13 @@ def tamper(
             continue
         return _shuffled(draft, edit, visible, rng)
     raise InputError(
-        f"no {edit} of {size:.1%} of the pixels came out in {ATTEMPTS} attempts "
-        f"({'; '.join(dict.fromkeys(tried))}); try another size, seed or set of cameras"
+        f"no {edit} of {size:.3g} of the pixels came out in {ATTEMPTS} attempts "
+        f"({'; '.join(list(dict.fromkeys(tried))[:3])}); try another size, seed or set of cameras"
     )
 
 
 def cut_object(
-    gaussians: Gaussians, cameras: Sequence[Camera], *, near: float = NEAR, seed: int
+    gaussians: Gaussians, cameras: Sequence[Camera], *, near: float = NEAR, seed: int = 0
 ) -> Gaussians:
     """Cut a compact thing out of a scene, to be pasted into another one.
 

@@ -30,7 +30,7 @@ from runner import (
     start,
     without_3d,
 )
-from tables import Row, pivot, where, write_section
+from tables import Row, markdown, pivot, values_of, where, write_section
 
 from gsc_jax.benchmark.metrics import mean_over_tampered_views
 from gsc_jax.benchmark.simulate import REGIMES
@@ -122,6 +122,19 @@ def rows_of(case: Case) -> Iterator[Row]:
     yield from rules_of(looks)
 
 
+def differences(mixture: list[Row]) -> str:
+    """What each variant changes: mean, least and largest difference over the cases."""
+    lines = []
+    for name in values_of(mixture, "method"):
+        full = name.split(":")[0]
+        if name in REFERENCE or name == full:
+            continue
+        pairs = zip(where(mixture, method=name), where(mixture, method=full), strict=True)
+        change = [variant["f1"] - unchanged["f1"] for variant, unchanged in pairs]
+        lines.append([name, *(f"{f(change):+.3f}" for f in (np.mean, np.min, np.max))])
+    return markdown(["variant", "mean", "least", "largest"], lines)
+
+
 def report(rows: list[Row]) -> str:
     """The tables."""
     rules = [row for row in rows if row["rule"] != COMMON]
@@ -134,6 +147,9 @@ def report(rows: list[Row]) -> str:
             pivot(
                 mixture, "method", "edit", reference=REFERENCE, extra={"paper, all edits": PAPER}
             ),
+            "**F1 minus that of the same method unchanged, case by case, mixture**: what two "
+            "digits hide",
+            differences(mixture),
             "**F1 by masks**",
             pivot(rows, "method", "regime", reference=REFERENCE, total=False),
             "**F1 by the rule that makes masks of labels, mixture of failures**",

@@ -11,14 +11,17 @@ that none of them saw: flagged is where more than half of what a pixel shows is 
 import functools
 
 import charts
+import numpy as np
 from cases import Case, calibrated_mixture, detector_masks
 from runner import ITSELF, REFERENCE, Args, judge, look, measured, sagd, start
-from tables import Row, pivot, values_of, where, write_section
+from tables import Row, markdown, pivot, values_of, where, write_section
 
 from gsc_jax.benchmark.simulate import REGIMES
 
 BOUNDARY = "SAGD, boundary"
 """With its boundary decomposition, which is too slow for every regime: under the mixture only."""
+CLOSE = 0.02
+"""A difference in F1 that is none."""
 PAPER = {
     "inverse projection": {"incorporation": 0.1191, "modification": 0.2743, "removal": 0.3896},
     "SA3D": {"incorporation": 0.1576, "modification": 0.8348, "removal": 0.0177},
@@ -51,6 +54,21 @@ def calibration(mixture: list[Row]) -> str:
     )
 
 
+def by_case(mixture: list[Row]) -> str:
+    """How the F1 of each method is spread over the cases, and how often it wins or fails."""
+    keys = dict.fromkeys((row["scene"], row["edit"], row["seed"]) for row in mixture)
+    cases = [where(mixture, scene=s, edit=e, seed=k) for s, e, k in keys]
+    best = [max(r["f1"] for r in case if r["method"] not in REFERENCE) for case in cases]
+    lines = []
+    for name in values_of(mixture, "method"):
+        f1 = np.array([row["f1"] for row in where(mixture, method=name)])
+        wins = "" if name in REFERENCE else f"{np.sum(f1 >= np.array(best) - CLOSE)} of {len(f1)}"
+        quantiles = [f"{q:.2f}" for q in np.quantile(f1, [0.1, 0.5, 0.9])]
+        lines.append([name, *quantiles, f"{f1.std(ddof=1):.2f}", wins, f"{np.sum(f1 < 0.2)}"])
+    tenths = ["worst tenth", "median", "best tenth", "standard deviation"]
+    return markdown(["method", *tenths, f"within {CLOSE} of the best", "below 0.2"], lines)
+
+
 def report(rows: list[Row]) -> str:
     """The tables."""
     table = functools.partial(pivot, reference=REFERENCE)
@@ -68,6 +86,9 @@ def report(rows: list[Row]) -> str:
             "**F1 by kind of edit, mixture of failures** (the paper's Table 1; its figures are "
             "from other scenes and another detector)",
             table(mixture, "method", "edit", extra=quoted),
+            "**The same case by case**: the spread above is that over seeds of means over all "
+            "scenes, and small beside that over cases",
+            by_case(mixture),
             "**IoU by kind of edit, mixture of failures**",
             table(mixture, "method", "edit", metric="iou"),
             calibration(mixture),

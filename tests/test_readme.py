@@ -4,6 +4,7 @@ import re
 import shlex
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from gsc_jax.app.cli import _parse
@@ -19,6 +20,7 @@ def test_the_python_code_runs_as_written(tmp_path, monkeypatch):
     made = tampered_room(count=2_000, views=3, heldout=1, width=64, height=48)
     save_ply(tmp_path / "scene.ply", made.gaussians)
     save_cameras(tmp_path / "cameras.json", made.cameras)
+    np.save(tmp_path / "labels.npy", made.labels)
     monkeypatch.chdir(tmp_path)
     (code,) = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
     names: dict = {}
@@ -28,7 +30,7 @@ def test_the_python_code_runs_as_written(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_the_commands_are_understood(command):
-    assert _parse(shlex.split(command)[1:]).out.name in ("demo", "found")
+    assert _parse(shlex.split(command)[1:]).out.name in ("demo", "edited", "found")
 
 
 def test_there_are_commands_to_understand():

@@ -63,7 +63,7 @@ def test_a_vase_is_pasted_by_default_and_any_object_on_request(room, tmp_path):
     assert "find it" not in answer.out
     assert not (tmp_path / "own" / "masks").exists()
     account = json.loads((tmp_path / "own" / "edit.json").read_text())
-    assert account["object"] == str(room / "scene.ply")
+    assert account["command"]["object"] == str(room / "scene.ply")
 
 
 def test_a_second_edit_leaves_nothing_of_the_first(room, tmp_path):

@@ -362,7 +362,7 @@ def test_an_edit_that_does_not_come_out_says_what_was_tried():
     # On nothing but a wall there is no ground to stand on.
     flat = np.random.default_rng(0).uniform(-2, 2, (500, 2))
     wall = blobs(np.column_stack([flat, np.full(500, 4.0)]), opacity=0.9, scale=0.15)
-    with pytest.raises(InputError, match=r"no incorporation of 5\.0%.*no level and free ground"):
+    with pytest.raises(InputError, match=r"no incorporation of 5 %.*no level and free ground"):
         tamper(wall, [camera(60, 60, focal=40.0)], "incorporation", donor=vase())
     with pytest.raises(InputError, match=r"no modification of .* in \d attempts \(.*; try another"):
         tamper(wall, [camera(60, 60, focal=40.0)], "modification", size=1e-4)

@@ -127,7 +127,7 @@ def tamper(
             continue
         return _shuffled(draft, edit, visible, rng)
     raise InputError(
-        f"no {edit} of {size:.3g} of the pixels came out in {ATTEMPTS} attempts "
+        f"no {edit} of {100 * size:.3g} % of the pixels came out in {ATTEMPTS} attempts "
         f"({'; '.join(list(dict.fromkeys(tried))[:3])}); try another size, seed or set of cameras"
     )
 

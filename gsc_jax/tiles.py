@@ -23,6 +23,8 @@ TILE = 8
 """Side of a tile in pixels."""
 CPU_LOCKSTEP = 128
 """Tiles that walk together on a CPU: their weights for a chunk then fit into the L2 cache."""
+MIN_LOCKSTEP, MIN_GROUPS = 16, 8
+"""But not all tiles of a small view at once: a group walks until its longest list ends."""
 UNIT = np.int64(1) << 32
 """What the major half of a sort key is multiplied with; the minor half is an index."""
 
@@ -72,7 +74,8 @@ def make_view(
         gaussians: N Gaussians, not traced: the length of the lists depends on the data.
         camera: The view.
         near: Near plane in world units.
-        lockstep: Tiles that walk together; 128 on a CPU and all of them on an accelerator.
+        lockstep: Tiles that walk together; all on an accelerator, on a CPU at most 128, and fewer
+            in small views.
 
     Returns:
         The view. Its arrays have one of a few sizes, so that another camera recompiles nothing.
@@ -84,7 +87,8 @@ def bin_view(splats: Splats, camera: Camera, *, lockstep: int | None = None) -> 
     """Bin projected Gaussians: the second half of `make_view`, with the same arguments."""
     lists = bin_splats(splats, camera.width, camera.height)
     if lockstep is None:
-        lockstep = CPU_LOCKSTEP if jax.default_backend() == "cpu" else len(lists.counts)
+        cpu = int(np.clip(len(lists.counts) // MIN_GROUPS, MIN_LOCKSTEP, CPU_LOCKSTEP))
+        lockstep = cpu if jax.default_backend() == "cpu" else len(lists.counts)
     lockstep = min(lockstep, len(lists.counts))
     return View(
         splats=_table(splats),

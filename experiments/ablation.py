@@ -15,21 +15,9 @@ from typing import Any
 import charts
 import numpy as np
 from cases import Case, calibrated_mixture, detector_masks
-from runner import (
-    REFERENCE,
-    TRUTH,
-    Answer,
-    Args,
-    Look,
-    Method,
-    checker,
-    judge,
-    labelled,
-    look,
-    measured,
-    start,
-    without_3d,
-)
+from looks import Answer, Look, Method, look
+from methods import checker, labelled, without_3d
+from runner import REFERENCE, TRUTH, Args, judge, measured, start
 from tables import Row, markdown, pivot, values_of, where, write_section
 
 from gsc_jax.benchmark.metrics import mean_over_tampered_views

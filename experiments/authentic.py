@@ -16,8 +16,9 @@ from pathlib import Path
 import charts
 import numpy as np
 from cases import Case, detector_masks, untouched
+from looks import look
 from matplotlib import pyplot as plt
-from runner import ITSELF, TRUTH, Args, judge, look, measured, start
+from runner import ITSELF, TRUTH, Args, judge, measured, start
 from tables import Row, mean, pivot, values_of, where, write_section
 
 from gsc_jax.benchmark.simulate import REGIMES

@@ -14,7 +14,8 @@ from pathlib import Path
 
 import charts
 from cases import Case, detector_masks, masks_of
-from runner import REFERENCE, Args, judge, look, measured, start
+from looks import look
+from runner import REFERENCE, Args, judge, measured, start
 from tables import Row, pivot, write_section
 
 from gsc_jax.benchmark.difference import DifferenceDetector

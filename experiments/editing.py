@@ -13,7 +13,9 @@ import functools
 import charts
 import numpy as np
 from cases import Case, calibrated_mixture, detector_masks
-from runner import ITSELF, REFERENCE, Args, judge, look, measured, sagd, start
+from looks import look
+from methods import sagd
+from runner import ITSELF, REFERENCE, Args, judge, measured, start
 from tables import Row, markdown, pivot, values_of, where, write_section
 
 from gsc_jax.benchmark.simulate import REGIMES

@@ -17,18 +17,9 @@ import charts
 import jax
 import numpy as np
 from cases import Case, calibrated_mixture, detector_masks, reduced
-from runner import (
-    ALL_METHODS,
-    Answer,
-    FewArgs,
-    Look,
-    checker,
-    heldout_masks,
-    labelled,
-    look,
-    measured,
-    start,
-)
+from looks import Answer, Look, look
+from methods import ALL_METHODS, checker, labelled
+from runner import FewArgs, heldout_masks, measured, start
 from speed_accuracy import CLOSE
 from tables import Row, markdown, mean, values_of, where, write_section
 

@@ -19,7 +19,8 @@ import charts
 import jax
 import jax.numpy as jnp
 from cases import Case, calibrated_mixture, detector_masks, masks_of
-from runner import REFERENCE, Args, judge, look, measured, start
+from looks import look
+from runner import REFERENCE, Args, judge, measured, start
 from tables import Row, pivot, values_of, where, write_section
 
 from gsc_jax.benchmark.difference import DifferenceDetector

@@ -19,18 +19,9 @@ import charts
 import jax
 import numpy as np
 from cases import Case, calibrated_mixture, detector_masks, reduced
-from runner import (
-    ALL_METHODS,
-    FewArgs,
-    Method,
-    checker,
-    heldout_masks,
-    look,
-    measured,
-    sa3d_gate_alone,
-    scores,
-    start,
-)
+from looks import Method, look
+from methods import ALL_METHODS, checker, sa3d_gate_alone
+from runner import FewArgs, heldout_masks, measured, scores, start
 from tables import Row, markdown, mean, values_of, where, write_section
 
 from gsc_jax.method import METHODS

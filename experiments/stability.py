@@ -16,7 +16,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from cases import Case, detector_masks, reduced
-from runner import ALL_METHODS, REFERENCE, FewArgs, judge, look, measured, start
+from looks import look
+from methods import ALL_METHODS
+from runner import REFERENCE, FewArgs, judge, measured, start
 from tables import Row, markdown, mean, values_of, where, write_section
 
 from gsc_jax.benchmark.metrics import truth_mask

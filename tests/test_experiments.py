@@ -27,6 +27,10 @@ SCRIPTS = (
 )
 
 
+def module(name: str):
+    return importlib.import_module(name)
+
+
 @pytest.fixture(autouse=True)
 def experiments_are_importable(monkeypatch):
     monkeypatch.setattr(sys, "path", [str(ROOT / "experiments"), *sys.path])
@@ -35,14 +39,14 @@ def experiments_are_importable(monkeypatch):
 @pytest.fixture(scope="module")
 def case():
     sys.path.insert(0, str(ROOT / "experiments"))
-    cases = importlib.import_module("cases")
+    cases = module("cases")
     return cases.make_case(cases.QUICK, "incorporation", 0)
 
 
 def test_one_look_lifts_every_regime_as_observing_each_would(case):
-    cases, runner = importlib.import_module("cases"), importlib.import_module("runner")
+    cases = module("cases")
     masks = cases.detector_masks(case, {name: REGIMES[name] for name in ("clean", "mixture")})
-    for regime, look in runner.look(case, masks).items():
+    for regime, look in module("looks").look(case, masks).items():
         given = dict(zip([c.name for c in case.scene.cameras], masks[regime], strict=True))
         alone = observe(case.gaussians, case.scene.cameras, as_detector(given))
         lifted = look.observation
@@ -53,9 +57,9 @@ def test_one_look_lifts_every_regime_as_observing_each_would(case):
 
 
 def test_the_true_labels_score_one_and_none_score_nothing(case):
-    cases, runner = importlib.import_module("cases"), importlib.import_module("runner")
-    looks = runner.look(case, cases.detector_masks(case, {"clean": REGIMES["clean"]}))
-    nothing = {"nothing": lambda look: runner.labelled(np.zeros_like(look.case.labels))}
+    cases, runner = module("cases"), module("runner")
+    looks = module("looks").look(case, cases.detector_masks(case, {"clean": REGIMES["clean"]}))
+    nothing = {"nothing": lambda look: module("methods").labelled(np.zeros_like(look.case.labels))}
     itself, truth, none = runner.judge(looks, nothing)
     assert itself["method"] == runner.ITSELF
     assert itself["f1"] == pytest.approx(1)
@@ -68,15 +72,15 @@ def test_the_true_labels_score_one_and_none_score_nothing(case):
 
 
 def test_the_calibrated_mixture_leaves_the_inverse_projection_little(case):
-    cases, runner = importlib.import_module("cases"), importlib.import_module("runner")
+    cases, runner = module("cases"), module("runner")
     masks = cases.detector_masks(case, {"mixture": cases.calibrated_mixture(case)})
-    inverse = {"inverse projection": runner.ALL_METHODS["inverse projection"]}
-    row = list(runner.judge(runner.look(case, masks), inverse))[-1]
+    inverse = {"inverse projection": module("methods").ALL_METHODS["inverse projection"]}
+    row = list(runner.judge(module("looks").look(case, masks), inverse))[-1]
     assert 0.1 <= row["f1"] <= 0.4
 
 
 def test_a_case_is_made_again_from_its_key(case):
-    cases = importlib.import_module("cases")
+    cases = module("cases")
     again = cases.make_case(**{"name": cases.QUICK, "edit": "incorporation", "seed": 0})
     assert np.array_equal(case.labels, again.labels)
     assert np.array_equal(case.heldout_truth, again.heldout_truth)
@@ -85,7 +89,7 @@ def test_a_case_is_made_again_from_its_key(case):
 
 
 def test_chance_differs_between_scenes_edits_seeds_and_regimes(case):
-    cases = importlib.import_module("cases")
+    cases = module("cases")
     keys = [
         (dataclasses.replace(case, scene=scene, edit=edit, seed=seed), regime)
         for scene in (dataclasses.replace(case.scene, name=name) for name in ("room", "garden"))
@@ -97,7 +101,7 @@ def test_chance_differs_between_scenes_edits_seeds_and_regimes(case):
 
 
 def test_a_table_has_means_spreads_and_the_best_in_bold():
-    tables = importlib.import_module("tables")
+    tables = module("tables")
     rows = [
         {"method": method, "regime": regime, "seed": seed, "f1": value + 0.1 * seed}
         for method, regime, value in [
@@ -123,7 +127,7 @@ def test_a_table_has_means_spreads_and_the_best_in_bold():
 
 
 def test_a_section_is_replaced_and_the_rest_of_the_page_stays(tmp_path):
-    tables = importlib.import_module("tables")
+    tables = module("tables")
     page = tmp_path / "results.md"
     page.write_text("before\n<!-- one -->\nold\n<!-- /one -->\nafter\n")
     tables.write_section(page, "one", "new")
@@ -136,7 +140,7 @@ def test_a_section_is_replaced_and_the_rest_of_the_page_stays(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SCRIPTS)
 def test_every_script_runs_in_quick_mode(name, tmp_path):
-    script = importlib.import_module(name)
+    script = module(name)
     (takes,) = inspect.signature(script.main).parameters.values()
     script.main(takes.annotation(quick=True, out=tmp_path))
     with pytest.raises(InputError, match="another --out"):
@@ -150,7 +154,7 @@ def test_every_script_runs_in_quick_mode(name, tmp_path):
 
 
 def test_rows_are_read_back_as_they_were(tmp_path):
-    tables = importlib.import_module("tables")
+    tables = module("tables")
     rows = [{"a": 1, "b": "x, y", "c": 0.25}, {"a": 2, "b": "", "d": 1e-9}]
     tables.write_csv(tmp_path / "rows.csv", rows)
     first, second = tables.read_csv(tmp_path / "rows.csv")

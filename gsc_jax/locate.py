@@ -12,8 +12,7 @@ import numpy as np
 from gsc_jax.decide import view_mask
 from gsc_jax.detection import Detector, as_detector
 from gsc_jax.errors import InputError
-from gsc_jax.loop import resolved
-from gsc_jax.method import METHODS, Finding, Method, MethodConfig, find
+from gsc_jax.method import CONFIGS, Config, Finding, Method, find, settled
 from gsc_jax.observe import observe
 from gsc_jax.parallel import WORKERS, ahead
 from gsc_jax.scene import Camera, Gaussians, invalid_rows
@@ -52,7 +51,7 @@ class Result:
     seen: np.ndarray
     group_sizes: np.ndarray
     method: str
-    config: MethodConfig
+    config: Config
     stages: dict[str, dict[str, float]]
     seconds: float
     warnings: list[str]
@@ -64,7 +63,7 @@ def locate(
     detector: Detector | Callable[[np.ndarray], Any] | Mapping[str, Any],
     *,
     method: Method = "official",
-    config: MethodConfig | None = None,
+    config: Config | None = None,
     progress: Progress = silent,
 ) -> Result:
     """Find the tampered Gaussians of a scene.
@@ -85,9 +84,9 @@ def locate(
         InputError: if the cameras see nothing of the scene, share a name, or have no mask.
         ValueError: if the method is unknown.
     """
-    if method not in METHODS:
-        raise ValueError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
-    config = config or METHODS[method]
+    if method not in CONFIGS:
+        raise ValueError(f"method must be one of {', '.join(CONFIGS)}, got {method!r}")
+    config = config or CONFIGS[method]
     stages, detector = Stages(), as_detector(detector)
     warnings = [*check_views(gaussians, cameras, near=config.near), *_unusable(gaussians)]
     gaussians = jax.tree.map(jnp.asarray, gaussians)
@@ -96,8 +95,7 @@ def locate(
     observation = observe(
         gaussians, chosen, detector, near=config.near, stages=stages, progress=progress
     )
-    loop = resolved(config.loop, config.epochs * len(chosen))
-    config = dataclasses.replace(config, loop=loop)
+    config = settled(config, len(chosen))
     with stages("optimise"):
         finding = find(gaussians, chosen, observation, config)
     seen, flagged, detections = observation.evidence.seen, observation.masks, observation.detections
@@ -128,7 +126,7 @@ def _masks(
     gaussians: Gaussians,
     cameras: Sequence[Camera],
     finding: Finding,
-    config: MethodConfig,
+    config: Config,
     stages: Stages,
     progress: Progress,
 ) -> dict[str, np.ndarray]:

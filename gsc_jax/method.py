@@ -1,7 +1,8 @@
 """The methods: from what was observed to a score and a label per Gaussian.
 
-A method is a configuration: which vote gives the initial attribute (eq. 5 and 6), which attributes
-the 3D loss compares (eq. 7 and 8), the schedule of the optimisation (eq. 10 to 12), the threshold.
+`robust` is the estimator of `gsc_jax.robust`. GS-Checker is a configuration: which vote gives the
+initial attribute (eq. 5 and 6), which attributes the 3D loss compares (eq. 7 and 8), the schedule
+of the optimisation (eq. 10 to 12), the threshold.
 """
 
 import dataclasses
@@ -21,11 +22,12 @@ from gsc_jax.losses import official_attributes, paper_attributes, standardised_a
 from gsc_jax.observe import Observation
 from gsc_jax.parallel import WORKERS, ahead
 from gsc_jax.projection import NEAR
+from gsc_jax.robust import Estimate, RobustConfig, estimate
 from gsc_jax.scene import Array, Camera, Gaussians
 from gsc_jax.tiles import View, make_view
 from gsc_jax.vote import official_consensus, paper_consensus
 
-Method = Literal["paper", "official"]
+Method = Literal["robust", "paper", "official"]
 
 CONSENSUS = {"paper": paper_consensus, "official": official_consensus}
 ATTRIBUTES = {
@@ -37,7 +39,7 @@ ATTRIBUTES = {
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class MethodConfig:
-    """All that a method leaves to choose.
+    """All that GS-Checker leaves to choose.
 
     Attributes:
         name: What the method is called in results.
@@ -96,16 +98,30 @@ METHODS: Mapping[str, MethodConfig] = {
 }
 """The paper's equations over several epochs, and the schedule and definitions of its code."""
 
+Config = MethodConfig | RobustConfig
+CONFIGS: Mapping[str, Config] = {"robust": RobustConfig(), **METHODS}
+"""Every method as it is by default."""
+
+
+def settled(config: Config, views: int) -> Config:
+    """The configuration with what it leaves to the number of views filled in."""
+    if isinstance(config, RobustConfig):
+        return config
+    loop = resolved(config.loop, config.epochs * views)
+    return dataclasses.replace(config, loop=loop)
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Finding:
     """What a method makes of an observation.
 
     Attributes:
-        attribute: Raw attribute r, shape (N,) float32; unbounded.
+        attribute: Raw attribute r, shape (N,) float32; unbounded. Of `robust` the log odds.
         tamper: Score in [0, 1], shape (N,) float32; 0 where nothing was seen.
         labels: Tampered Gaussians, shape (N,) bool.
         group_sizes: Sizes of G_h, G_m and G_l in every iteration, shape (iterations, 3).
+        estimate: What `robust` found out about classes and views; None of other methods, and
+            where no view or every view flags all that it sees.
         warnings: What a user should know, in sentences.
     """
 
@@ -113,13 +129,14 @@ class Finding:
     tamper: np.ndarray
     labels: np.ndarray
     group_sizes: np.ndarray
+    estimate: Estimate | None = None
     warnings: list[str]
 
 
 def find(
-    gaussians: Gaussians, cameras: Sequence[Camera], observation: Observation, config: MethodConfig
+    gaussians: Gaussians, cameras: Sequence[Camera], observation: Observation, config: Config
 ) -> Finding:
-    """Vote, optimise, normalise and threshold: from what was observed to the tampered Gaussians.
+    """From what was observed to the tampered Gaussians: by voting and optimising, or `robust`.
 
     Args:
         gaussians: N Gaussians.
@@ -138,7 +155,7 @@ def sweep(
     gaussians: Gaussians,
     cameras: Sequence[Camera],
     observation: Observation,
-    configs: Iterable[MethodConfig],
+    configs: Iterable[Config],
 ) -> Iterator[Finding]:
     """`find` under many configurations; what does not depend on them is computed once.
 
@@ -182,8 +199,13 @@ def _once(function: Callable[[str], Array]) -> Callable[[str], Array]:
     return call
 
 
-def _find(given: Given, config: MethodConfig) -> Finding:
+def _find(given: Given, config: Config) -> Finding:
+    undisputed = _undisputed(given.observation.evidence)
+    if isinstance(config, RobustConfig):
+        return undisputed or _estimated(given, config)
     attribute, group_sizes = _optimise(given, config)
+    if undisputed:
+        return dataclasses.replace(undisputed, attribute=attribute, group_sizes=group_sizes)
     tamper, labels, warnings = _decide(attribute, given.observation.evidence, config.threshold)
     contrasted = group_sizes[resolved(config.loop, len(group_sizes)).contrastive_start :]
     if labels.any() and len(contrasted) and not contrasted.all(axis=1).any():
@@ -220,19 +242,47 @@ def _optimise(given: Given, config: MethodConfig) -> tuple[np.ndarray, np.ndarra
     return np.asarray(r), np.asarray(infos.group_sizes)
 
 
+def _estimated(given: Given, config: RobustConfig) -> Finding:
+    """What the estimator makes of the evidence."""
+    estimated = estimate(given.observation.evidence, given.gaussians.means, config)
+    tamper = estimated.probability
+    labels = tamper > config.threshold
+    within = np.clip(tamper, 1e-7, 1 - 1e-7)
+    return Finding(
+        attribute=np.where(tamper > 0, np.log(within / (1 - within)), 0.0).astype(np.float32),
+        tamper=tamper,
+        labels=labels,
+        group_sizes=np.zeros((0, 3), np.int32),
+        estimate=estimated,
+        warnings=[] if labels.any() else [DISAGREE],
+    )
+
+
+DISAGREE = "Pixels were flagged, but the views agree on no tampered Gaussian."
+
+
+def _undisputed(evidence: Evidence) -> Finding | None:
+    """What there is to find where the views leave nothing to weigh; None where they do."""
+    seen = evidence.seen
+    if evidence.says_nothing:
+        labels, said = np.zeros(len(seen), bool), "No view says that anything is tampered."
+    elif evidence.says_everything:
+        labels, said = seen, "Every view says that everything is tampered."
+    else:
+        return None
+    return Finding(
+        attribute=np.zeros(len(seen), np.float32),
+        tamper=labels.astype(np.float32),
+        labels=labels,
+        group_sizes=np.zeros((0, 3), np.int32),
+        warnings=[said],
+    )
+
+
 def _decide(
     attribute: np.ndarray, evidence: Evidence, threshold: float
 ) -> tuple[np.ndarray, np.ndarray, list[str]]:
     """Scores, labels and warnings."""
-    seen = evidence.seen
-    if evidence.says_nothing:
-        said = "No view says that anything is tampered."
-        return np.zeros(len(seen), np.float32), np.zeros(len(seen), bool), [said]
-    if evidence.says_everything:
-        said = "Every view says that everything is tampered."
-        return seen.astype(np.float32), seen, [said]
-    tamper = np.asarray(normalise(np.where(seen, attribute, 0.0)), np.float32)
+    tamper = np.asarray(normalise(np.where(evidence.seen, attribute, 0.0)), np.float32)
     labels = tamper > threshold
-    if labels.any():
-        return tamper, labels, []
-    return tamper, labels, ["Pixels were flagged, but the views agree on no tampered Gaussian."]
+    return tamper, labels, [] if labels.any() else [DISAGREE]

@@ -11,13 +11,15 @@ that is flagged, and whether a scene as a whole raises a false alarm.
 """
 
 import functools
+from collections.abc import Mapping
 from pathlib import Path
 
 import charts
 import numpy as np
 from cases import Case, detector_masks, untouched
-from looks import look
+from looks import Method, look
 from matplotlib import pyplot as plt
+from methods import ALL_METHODS
 from runner import ITSELF, TRUTH, Args, judge, measured, start
 from tables import Row, mean, pivot, values_of, where, write_section
 
@@ -28,11 +30,11 @@ ALARM = 0.5
 """Percent of the held-out pixels above which a scene counts as a false alarm."""
 
 
-def rows_of(case: Case) -> list[Row]:
+def rows_of(case: Case, methods: Mapping[str, Method]) -> list[Row]:
     """Every failure and method on one untouched scene, in percent of the held-out pixels."""
     looks = look(case, detector_masks(case, FAILURES))
     rows = []
-    for row in judge(looks):
+    for row in judge(looks, methods):
         if row["method"] != TRUTH:
             flagged = round(100 * row["false_area"], 2)
             rows.append({**row, "flagged": flagged, "alarm": float(flagged > ALARM)})
@@ -75,7 +77,9 @@ def chart(rows: list[Row], path: Path) -> None:
 def main(args: Args) -> None:
     """Judge every untouched scene; print and write the tables and the chart."""
     cases = args.cases(edits=("modification",))
-    rows = measured(args, "authentic", (rows_of(untouched(imagined)) for imagined in cases))
+    methods = args.among(ALL_METHODS)
+    per_case = (rows_of(untouched(imagined), methods) for imagined in cases)
+    rows = measured(args, "authentic", per_case)
     text = report(rows)
     print(text)
     write_section(args.out / "results.md", "authentic", text)

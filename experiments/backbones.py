@@ -14,7 +14,8 @@ from pathlib import Path
 
 import charts
 from cases import Case, detector_masks, masks_of
-from looks import look
+from looks import Method, look
+from methods import ALL_METHODS
 from runner import REFERENCE, Args, judge, measured, start
 from tables import Row, pivot, write_section
 
@@ -47,14 +48,16 @@ class BackboneArgs(Args):
         return {path.stem: OnnxDetector(path, spec) for path in self.onnx}
 
 
-def rows_of(case: Case, networks: Mapping[str, Detector]) -> list[Row]:
+def rows_of(
+    case: Case, networks: Mapping[str, Detector], methods: Mapping[str, Method]
+) -> list[Row]:
     """Every detector and method on one edit."""
     looking = {"difference": DifferenceDetector(case.scene.gaussians), **networks}
     masks = detector_masks(case, PROFILES) | {
         name: masks_of(detector, case.gaussians, case.scene.cameras)
         for name, detector in looking.items()
     }
-    return list(judge(look(case, masks)))
+    return list(judge(look(case, masks), methods))
 
 
 def report(rows: list[Row]) -> str:
@@ -75,7 +78,9 @@ def report(rows: list[Row]) -> str:
 def main(args: BackboneArgs) -> None:
     """Judge every case behind every detector; print and write the tables and the chart."""
     networks = args.networks()
-    rows = measured(args, "backbones", (rows_of(case, networks) for case in args.cases()))
+    methods = args.among(ALL_METHODS)
+    per_case = (rows_of(case, networks, methods) for case in args.cases())
+    rows = measured(args, "backbones", per_case)
     warnings = [f"Warning: {text}" for network in networks.values() for text in network.warnings]
     text = "\n\n".join([report(rows), *warnings])
     print(text)

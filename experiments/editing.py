@@ -9,12 +9,13 @@ that none of them saw: flagged is where more than half of what a pixel shows is 
 """
 
 import functools
+from collections.abc import Mapping
 
 import charts
 import numpy as np
 from cases import Case, calibrated_mixture, detector_masks
-from looks import look
-from methods import sagd
+from looks import Method, look
+from methods import ALL_METHODS, sagd
 from runner import ITSELF, REFERENCE, Args, judge, measured, start
 from tables import Row, markdown, pivot, values_of, where, write_section
 
@@ -33,12 +34,15 @@ PAPER = {
 """F1 in the paper's Table 1, on its own data with SAFIRE's masks: beside ours, not comparable."""
 
 
-def rows_of(case: Case) -> list[Row]:
+def rows_of(case: Case, methods: Mapping[str, Method]) -> list[Row]:
     """Every regime and method on one edit."""
     regimes = {**REGIMES, "mixture": calibrated_mixture(case)}
     looks = look(case, detector_masks(case, regimes))
-    only_here = judge({"mixture": looks["mixture"]}, {BOUNDARY: sagd})
-    rows = [*judge(looks), *(row for row in only_here if row["method"] not in REFERENCE)]
+    everywhere = {name: method for name, method in methods.items() if name != BOUNDARY}
+    rows = list(judge(looks, everywhere))
+    if BOUNDARY in methods:
+        only_here = judge({"mixture": looks["mixture"]}, {BOUNDARY: methods[BOUNDARY]})
+        rows += [row for row in only_here if row["method"] not in REFERENCE]
     # Of the mixture as it stands in `REGIMES`, in which edges move by 3 pixels.
     strength = regimes["mixture"].boundary / REGIMES["mixture"].boundary
     return [{**row, "mixture_strength": round(strength, 3)} for row in rows]
@@ -109,7 +113,8 @@ def report(rows: list[Row]) -> str:
 
 def main(args: Args) -> None:
     """Judge every case; print and write the tables and the chart."""
-    rows = measured(args, "editing", (rows_of(case) for case in args.cases()))
+    methods = args.among({**ALL_METHODS, BOUNDARY: sagd})
+    rows = measured(args, "editing", (rows_of(case, methods) for case in args.cases()))
     text = report(rows)
     print(text)
     write_section(args.out / "results.md", "editing", text)

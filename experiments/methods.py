@@ -1,4 +1,4 @@
-"""Every method of the tables as a function of a look: the baselines, and GS-Checker."""
+"""Every method of the tables as a function of a look: the baselines, GS-Checker, and `robust`."""
 
 import dataclasses
 import functools
@@ -21,7 +21,8 @@ from gsc_jax.benchmark.metrics import (
     iou,
 )
 from gsc_jax.evidence import Evidence
-from gsc_jax.method import METHODS, MethodConfig, find
+from gsc_jax.method import METHODS, Config, MethodConfig, find
+from gsc_jax.robust import RobustConfig
 from gsc_jax.splat import composite
 
 
@@ -31,8 +32,8 @@ def labelled(labels: np.ndarray) -> Answer:
     return Answer(score=labels.astype(np.float32), labels=labels)
 
 
-def checker(config: MethodConfig, *, own_rule: bool = False) -> Method:
-    """GS-Checker under a configuration; judged by its labels, or by the score that it renders."""
+def checker(config: Config, *, own_rule: bool = False) -> Method:
+    """A method of ours under a configuration; judged by labels, or by the score that it renders."""
 
     def method(look: Look) -> Answer:
         seeded = dataclasses.replace(config, seed=look.case.seed)
@@ -126,5 +127,7 @@ ALL_METHODS: Mapping[str, Method] = {
     "GS-Checker official, own rule": checker(METHODS["official"], own_rule=True),
     "GS-Checker official, no 3D loss": checker(without_3d(METHODS["official"])),
     "GS-Checker paper": checker(METHODS["paper"]),
+    "robust": checker(RobustConfig()),
+    "robust, own rule": checker(RobustConfig(), own_rule=True),
 }
 """Every method of the tables, judged by its labels; by what it renders itself where it says so."""

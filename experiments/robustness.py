@@ -13,13 +13,14 @@ before the distortion.
 import dataclasses
 import functools
 import inspect
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 
 import charts
 import jax
 import jax.numpy as jnp
 from cases import Case, calibrated_mixture, detector_masks, masks_of
-from looks import look
+from looks import Method, look
+from methods import ALL_METHODS
 from runner import REFERENCE, Args, judge, measured, start
 from tables import Row, pivot, values_of, where, write_section
 
@@ -36,7 +37,7 @@ PAPER = {
 """F1 in the paper's Table 2, whose strengths it does not state: beside ours, not comparable."""
 
 
-def rows_of(case: Case) -> Iterator[Row]:
+def rows_of(case: Case, methods: Mapping[str, Method]) -> Iterator[Row]:
     """Every distortion, detector and method on one edit."""
     mixture = detector_masks(case, {"mixture": calibrated_mixture(case)})
     original = DifferenceDetector(case.scene.gaussians)
@@ -47,7 +48,7 @@ def rows_of(case: Case) -> Iterator[Row]:
         masks = {"difference": masks_of(detector, distorted.gaussians, case.scene.cameras)}
         if distortion.image is None:
             masks |= mixture
-        for row in judge(look(distorted, masks)):
+        for row in judge(look(distorted, masks), methods):
             yield {**row, "distortion": name}
 
 
@@ -93,7 +94,8 @@ def report(rows: list[Row]) -> str:
 def main(args: Args) -> None:
     """Judge every modification; print and write the tables and the chart."""
     cases = args.cases(edits=("modification",))
-    rows = measured(args, "robustness", (rows_of(case) for case in cases))
+    methods = args.among(ALL_METHODS)
+    rows = measured(args, "robustness", (rows_of(case, methods) for case in cases))
     text = report(rows)
     print(text)
     write_section(args.out / "results.md", "robustness", text)

@@ -59,6 +59,8 @@ class Args:
         scenes: Which scenes; all that are there by default.
         edits: Which kinds of edit.
         seeds: How many seeds per scene and edit.
+        methods: Measure these methods only, by the names in the tables; the rows of all others are
+            kept from the CSV in the folder.
         reprint: Measure nothing: make the tables and charts again of the CSV in the folder.
     """
 
@@ -68,7 +70,15 @@ class Args:
     scenes: tuple[str, ...] = ()
     edits: tuple[Edit, ...] = EDITS
     seeds: int = 3
+    methods: tuple[str, ...] = ()
     reprint: bool = False
+
+    def among(self, known: Mapping[str, Method]) -> dict[str, Method]:
+        """Of the methods those asked for; all where none is."""
+        unknown = [name for name in self.methods if name not in known]
+        if unknown:
+            raise InputError(f"--methods {unknown[0]!r}: expected some of {', '.join(known)}")
+        return {name: known[name] for name in self.methods or known}
 
     def cases(self, edits: Sequence[Edit] | None = None) -> Iterator[Case]:
         """The cases covered, scene by scene; in a quick run one edit of one made scene each."""
@@ -93,6 +103,7 @@ def measured(args: Args, name: str, per_case: Iterable[Iterable[Row]]) -> list[R
         return read_csv(existing_file(path, expected="rows measured before"))
     if args.quick and path.exists():
         raise InputError(f"{path}: is there; a quick run would replace it, give another --out")
+    before = read_csv(existing_file(path, expected="rows of the others")) if args.methods else []
     args.out.mkdir(parents=True, exist_ok=True)
     rows: list[Row] = []
     for more in per_case:
@@ -100,8 +111,23 @@ def measured(args: Args, name: str, per_case: Iterable[Iterable[Row]]) -> list[R
         write_csv(partial, rows)
     if not rows:
         raise InputError("nothing to measure: --scenes, --edits and --seeds leave no case")
+    rows = beside(before, rows) if before else rows
+    write_csv(partial, rows)
     partial.replace(path)
     return rows
+
+
+def beside(before: Sequence[Row], rows: Sequence[Row]) -> list[Row]:
+    """Rows of some methods after the rows of the others, measured before on the same cases."""
+    if {_case(row) for row in before} != {_case(row) for row in rows}:
+        raise InputError("--methods: the rows in the folder are of other cases; measure all anew")
+    new = {row["method"] for row in rows if row["method"] not in REFERENCE}
+    kept = [row for row in before if row["method"] not in new]
+    return [*kept, *(row for row in rows if row["method"] in new)]
+
+
+def _case(row: Row) -> tuple[object, ...]:
+    return tuple(row[key] for key in ("scene", "edit", "seed"))
 
 
 def start(main: Callable[[Any], None], description: str | None) -> None:

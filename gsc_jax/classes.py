@@ -76,9 +76,9 @@ def fit_classes(
     if not np.shape(flagged)[1]:
         raise ValueError("expected the evidence of at least one Gaussian, got none")
     flagged, clear = jnp.asarray(flagged, jnp.float32), jnp.asarray(clear, jnp.float32)
-    used = np.repeat(counts, restarts)[:, None] > np.arange(max(counts))
+    used = np.repeat(counts, restarts)[:, None] > np.arange(max(counts), dtype=np.int32)
     keys = jax.random.split(jax.random.key(seed), len(used))
-    return _fit_all(flagged, clear, jnp.asarray(used), keys)
+    return _fit_all(flagged, clear, jnp.asarray(used, jnp.float32), keys)
 
 
 @jax.jit
@@ -121,7 +121,7 @@ def _fit_one(flagged: Array, clear: Array, used: Array, key: Array) -> Fit:
 
     start = Classes(
         rates=_spread(flagged, clear, len(used), key),
-        shares=used / jnp.sum(used, dtype=jnp.float32),
+        shares=used / jnp.sum(used),
     )
     begin = (start, jnp.float32(-1e30), jnp.float32(-jnp.inf), jnp.int32(0))
     classes, likelihood, _, iterations = jax.lax.while_loop(arrived, step, begin)
@@ -140,7 +140,7 @@ def _maximise(belongs: Array, flagged: Array, clear: Array, used: Array) -> Clas
     """The M step: rates with half a count of each outcome added, shares with one Gaussian."""
     positive, negative = belongs @ flagged.T, belongs @ clear.T
     rates = (positive + 0.5) / (positive + negative + 1.0)
-    members = jnp.where(used, jnp.sum(belongs, axis=1) + 1.0, 0.0)
+    members = used * (jnp.sum(belongs, axis=1) + 1.0)
     return Classes(
         rates=jnp.clip(rates, RATE_FLOOR, 1 - RATE_FLOOR), shares=members / jnp.sum(members)
     )

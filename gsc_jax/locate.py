@@ -12,7 +12,8 @@ import numpy as np
 from gsc_jax.decide import view_mask
 from gsc_jax.detection import Detector, as_detector
 from gsc_jax.errors import InputError
-from gsc_jax.method import CONFIGS, Config, Finding, Method, find, settled
+from gsc_jax.finding import Finding, Reliability
+from gsc_jax.method import CONFIGS, Config, Method, find, settled
 from gsc_jax.observe import observe
 from gsc_jax.parallel import WORKERS, ahead
 from gsc_jax.scene import Camera, Gaussians, invalid_rows
@@ -28,9 +29,13 @@ class Result:
     """What was found.
 
     Attributes:
-        tamper: Score in [0, 1], shape (N,) float32; 0 where nothing was seen.
+        tamper: Score in [0, 1], shape (N,) float32; 0 where nothing was seen. Of `robust` it is the
+            probability to be tampered, if anything is.
         labels: Tampered Gaussians, shape (N,) bool.
-        attribute: Raw attribute r, shape (N,) float32; unbounded.
+        attribute: Raw attribute r, shape (N,) float32; unbounded. Of `robust` the log odds.
+        verdict: Probability that anything was tampered with; None of methods that cannot say.
+        reliability: Of `robust`, by camera name: whether the mask finds what is tampered, misses
+            it, or is inverted.
         masks: Tampered pixels (H, W) bool of every view, by camera name.
         detections: What the 2D detector said, (H, W) float16 in [0, 1], by camera name.
         seen: Gaussians that contributed to some pixel, shape (N,) bool.
@@ -46,6 +51,8 @@ class Result:
     tamper: np.ndarray
     labels: np.ndarray
     attribute: np.ndarray
+    verdict: float | None
+    reliability: dict[str, Reliability]
     masks: dict[str, np.ndarray]
     detections: dict[str, np.ndarray]
     seen: np.ndarray
@@ -62,7 +69,7 @@ def locate(
     cameras: Sequence[Camera],
     detector: Detector | Callable[[np.ndarray], Any] | Mapping[str, Any],
     *,
-    method: Method = "official",
+    method: Method = "robust",
     config: Config | None = None,
     progress: Progress = silent,
 ) -> Result:
@@ -73,8 +80,9 @@ def locate(
         cameras: The views to look from, each of another name.
         detector: A detector, a function image (H, W, 3) -> probability (any size), or
             probabilities by camera name.
-        method: `paper` (the equations) or `official` (the schedule of the released code).
-        config: Replaces the method, e.g. a changed `METHODS["paper"]`.
+        method: `robust` (asks what each mask is worth), `official` (the schedule of the released
+            code) or `paper` (the equations).
+        config: Replaces the method, e.g. a changed `METHODS["paper"]` or a `RobustConfig`.
         progress: Called with (stage, done, total).
 
     Returns:
@@ -105,6 +113,8 @@ def locate(
         tamper=finding.tamper,
         labels=finding.labels,
         attribute=finding.attribute,
+        verdict=finding.verdict,
+        reliability={c.name: said for c, said in zip(chosen, finding.reliability, strict=False)},
         masks=masks,
         detections=detections,
         seen=seen,
@@ -160,7 +170,7 @@ def _disagreement(flagged: dict[str, np.ndarray], masks: dict[str, np.ndarray]) 
         return []
     return [
         f"The detector flags {said:.1%} of what the views show, of which {found:.2%} was "
-        "confirmed: its masks disagree. A smaller lambda2 asks for less agreement."
+        "confirmed: its masks disagree. `robust` asks for less agreement, or a smaller lambda2."
     ]
 
 

@@ -17,12 +17,13 @@ import numpy as np
 
 from gsc_jax.decide import MaskRule, normalise
 from gsc_jax.evidence import Evidence
+from gsc_jax.finding import DISAGREE, Finding, undisputed
 from gsc_jax.loop import LoopConfig, fit, fit_rendered, resolved, view_order
 from gsc_jax.losses import official_attributes, paper_attributes, standardised_attributes
 from gsc_jax.observe import Observation
 from gsc_jax.parallel import WORKERS, ahead
 from gsc_jax.projection import NEAR
-from gsc_jax.robust import Estimate, RobustConfig, estimate
+from gsc_jax.robust import RobustConfig, find_robust
 from gsc_jax.scene import Array, Camera, Gaussians
 from gsc_jax.tiles import View, make_view
 from gsc_jax.vote import official_consensus, paper_consensus
@@ -111,28 +112,6 @@ def settled(config: Config, views: int) -> Config:
     return dataclasses.replace(config, loop=loop)
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Finding:
-    """What a method makes of an observation.
-
-    Attributes:
-        attribute: Raw attribute r, shape (N,) float32; unbounded. Of `robust` the log odds.
-        tamper: Score in [0, 1], shape (N,) float32; 0 where nothing was seen.
-        labels: Tampered Gaussians, shape (N,) bool.
-        group_sizes: Sizes of G_h, G_m and G_l in every iteration, shape (iterations, 3).
-        estimate: What `robust` found out about classes and views; None of other methods, and
-            where no view or every view flags all that it sees.
-        warnings: What a user should know, in sentences.
-    """
-
-    attribute: np.ndarray
-    tamper: np.ndarray
-    labels: np.ndarray
-    group_sizes: np.ndarray
-    estimate: Estimate | None = None
-    warnings: list[str]
-
-
 def find(
     gaussians: Gaussians, cameras: Sequence[Camera], observation: Observation, config: Config
 ) -> Finding:
@@ -200,13 +179,14 @@ def _once(function: Callable[[str], Array]) -> Callable[[str], Array]:
 
 
 def _find(given: Given, config: Config) -> Finding:
-    undisputed = _undisputed(given.observation.evidence)
+    evidence = given.observation.evidence
     if isinstance(config, RobustConfig):
-        return undisputed or _estimated(given, config)
+        return find_robust(evidence, given.gaussians.means, config)
     attribute, group_sizes = _optimise(given, config)
-    if undisputed:
-        return dataclasses.replace(undisputed, attribute=attribute, group_sizes=group_sizes)
-    tamper, labels, warnings = _decide(attribute, given.observation.evidence, config.threshold)
+    clear = undisputed(evidence)
+    if clear:
+        return dataclasses.replace(clear, attribute=attribute, group_sizes=group_sizes)
+    tamper, labels, warnings = _decide(attribute, evidence, config.threshold)
     contrasted = group_sizes[resolved(config.loop, len(group_sizes)).contrastive_start :]
     if labels.any() and len(contrasted) and not contrasted.all(axis=1).any():
         empty = [f"G_{g}" for g, n in zip("hml", contrasted.max(axis=0), strict=True) if not n]
@@ -240,43 +220,6 @@ def _optimise(given: Given, config: MethodConfig) -> tuple[np.ndarray, np.ndarra
 
         r, infos = fit_rendered(look, *start, order, config=config.loop)
     return np.asarray(r), np.asarray(infos.group_sizes)
-
-
-def _estimated(given: Given, config: RobustConfig) -> Finding:
-    """What the estimator makes of the evidence."""
-    estimated = estimate(given.observation.evidence, given.gaussians.means, config)
-    tamper = estimated.probability
-    labels = tamper > config.threshold
-    within = np.clip(tamper, 1e-7, 1 - 1e-7)
-    return Finding(
-        attribute=np.where(tamper > 0, np.log(within / (1 - within)), 0.0).astype(np.float32),
-        tamper=tamper,
-        labels=labels,
-        group_sizes=np.zeros((0, 3), np.int32),
-        estimate=estimated,
-        warnings=[] if labels.any() else [DISAGREE],
-    )
-
-
-DISAGREE = "Pixels were flagged, but the views agree on no tampered Gaussian."
-
-
-def _undisputed(evidence: Evidence) -> Finding | None:
-    """What there is to find where the views leave nothing to weigh; None where they do."""
-    seen = evidence.seen
-    if evidence.says_nothing:
-        labels, said = np.zeros(len(seen), bool), "No view says that anything is tampered."
-    elif evidence.says_everything:
-        labels, said = seen, "Every view says that everything is tampered."
-    else:
-        return None
-    return Finding(
-        attribute=np.zeros(len(seen), np.float32),
-        tamper=labels.astype(np.float32),
-        labels=labels,
-        group_sizes=np.zeros((0, 3), np.int32),
-        warnings=[said],
-    )
 
 
 def _decide(

@@ -16,8 +16,9 @@ import numpy as np
 from gsc_jax.classes import fit_classes, membership
 from gsc_jax.decide import MaskRule
 from gsc_jax.evidence import Evidence
+from gsc_jax.finding import DISAGREE, Finding, Reliability, undisputed
 from gsc_jax.projection import NEAR
-from gsc_jax.roles import Roles, assign_roles
+from gsc_jax.roles import Roles, assign_roles, verdict
 from gsc_jax.scene import Array
 from gsc_jax.smoothing import smoothed
 
@@ -80,6 +81,64 @@ class Estimate:
     roles: Roles | None
     iterations: int
     classes: int
+
+
+def find_robust(evidence: Evidence, means: Array, config: RobustConfig) -> Finding:
+    """What the estimator finds, with a verdict on the scene and on every view.
+
+    Args:
+        evidence: What V views say of N Gaussians, shapes (V, N).
+        means: Their centres, shape (N, 3); any unit.
+        config: Of the estimator.
+
+    Returns:
+        The finding; its attribute is the log odds of the probability.
+    """
+    clear = undisputed(evidence)
+    if clear:
+        return dataclasses.replace(clear, verdict=verdict(float(clear.labels.any())))
+    found = estimate(evidence, means, config)
+    labels = found.probability > config.threshold
+    within = np.clip(found.probability, 1e-7, 1 - 1e-7)
+    odds = np.where(found.probability > 0, np.log(within / (1 - within)), 0.0)
+    rate = found.roles.rate if found.roles else 0.0
+    return Finding(
+        attribute=odds.astype(np.float32),
+        tamper=found.probability,
+        labels=labels,
+        group_sizes=np.zeros((0, 3), np.int32),
+        verdict=verdict(rate),
+        reliability=_reliability(found.roles),
+        warnings=_doubts(found.roles, labels),
+    )
+
+
+def _reliability(roles: Roles | None) -> tuple[Reliability, ...]:
+    if roles is None:
+        return ()
+    return tuple(
+        "inverted" if turned else "finds" if finds else "misses"
+        for turned, finds in zip(roles.inverted, roles.finds, strict=True)
+    )
+
+
+def _doubts(roles: Roles | None, labels: np.ndarray) -> list[str]:
+    """What a user should know before believing the labels."""
+    if roles is None or not labels.any():
+        return [DISAGREE]
+    warnings = []
+    if verdict(roles.rate) < 0.5:
+        warnings.append(
+            f"What is labelled was flagged in {roles.rate:.0%} of the views that see it, as often "
+            "happens to authentic things: perhaps nothing was tampered with."
+        )
+    if roles.inverted.mean() > 0.5:
+        warnings.append(
+            f"{roles.inverted.sum()} of {len(roles.inverted)} masks flag the larger part of the "
+            "scene and were read the other way round; if that part was tampered with, use another "
+            "method."
+        )
+    return warnings
 
 
 def estimate(evidence: Evidence, means: Array, config: RobustConfig) -> Estimate:

@@ -15,7 +15,7 @@ from matplotlib import pyplot as plt
 
 COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#999999")
 """Okabe and Ito's palette."""
-MARKERS = "osD^vP*Xph<>"
+MARKERS = "osD^vP*Xph<>8Hd"
 
 
 def save(figure: Any, path: Path) -> None:

@@ -116,7 +116,7 @@ def _fit_one(flagged: Array, clear: Array, used: Array, key: Array) -> Fit:
         classes, likelihood, _, iteration = state
         joint = _log_joint(classes, flagged, clear)
         total = jax.nn.logsumexp(joint, axis=0)
-        classes = _maximise(jnp.exp(joint - total), flagged, clear, used)
+        classes = _maximise(jnp.exp(joint - total[None]), flagged, clear, used)
         return classes, jnp.sum(total), likelihood, iteration + 1
 
     start = Classes(

@@ -160,7 +160,7 @@ def estimate(evidence: Evidence, means: Array, config: RobustConfig) -> Estimate
     if not seen.any():
         return nothing
     chosen, worth = _sample(looks, flags, config.sample)
-    looked, flagged = _looks(evidence, chosen, config.trust)
+    looked, flagged = looks_of(evidence, chosen, config.trust)
     clear = looked - flagged
     fit = fit_classes(
         config.pixels * flagged,
@@ -206,7 +206,7 @@ def disagreement(evidence: Evidence, roles: Roles, trust: float) -> np.ndarray:
     patterns = roles.patterns.astype(np.float32)
     found = np.empty((np.shape(evidence.total)[-1], len(patterns)), np.float32)
     for block in _blocks(len(found)):
-        looked, flagged = _looks(evidence, block, trust)
+        looked, flagged = looks_of(evidence, block, trust)
         flagged = np.where(turned, looked - flagged, flagged)
         found[block] = (looked - 2 * flagged).T @ patterns.T + flagged.sum(axis=0)[:, None]
     return found
@@ -216,7 +216,7 @@ def _blocks(count: int) -> Iterator[slice]:
     return (slice(start, start + BLOCK) for start in range(0, count, BLOCK))
 
 
-def _looks(
+def looks_of(
     evidence: Evidence, some: np.ndarray | slice, trust: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """What each view saw of some Gaussians, in looks, and how much of it was flagged, (V, M)."""
@@ -230,7 +230,7 @@ def _totals(evidence: Evidence, trust: float) -> tuple[np.ndarray, np.ndarray]:
     """Looks at each Gaussian over all views, and flagged ones, shapes (N,)."""
     count = np.shape(evidence.total)[-1]
     sums = [
-        [part.sum(axis=0) for part in _looks(evidence, block, trust)] for block in _blocks(count)
+        [part.sum(axis=0) for part in looks_of(evidence, block, trust)] for block in _blocks(count)
     ]
     looks, flags = (np.concatenate(parts) for parts in zip(*sums, strict=True))
     return looks, flags

@@ -10,6 +10,7 @@ import io
 import os
 import re
 import sys
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -23,6 +24,8 @@ from gsc_jax.app.progress import Bars
 from gsc_jax.app.run import run_locate, run_render
 from gsc_jax.app.tampering import run_tamper
 from gsc_jax.errors import InputError
+from gsc_jax.finding import Reliability
+from gsc_jax.locate import Result
 
 Command = Locate | Render | Tamper | Demo
 
@@ -122,12 +125,32 @@ def summary(located: Located, out: Path) -> list[str]:
     )
     return [
         verdict,
+        *_judgement(located.result),
         f"method   {located.result.method}",
         f"time     {located.seconds:.1f} s (most work: {times})",
         f"look at  {out / 'overview.png'}, {out / 'overlay'}",
         f"scene    {out / 'tamper.ply'}; for any viewer: {out / 'highlight.ply'}",
         f"numbers  {out / 'result.json'}, {out / 'labels.npy'}",
     ]
+
+
+MASKS: dict[Reliability, str] = {
+    "finds": "find it",
+    "misses": "miss it",
+    "inverted": "are inverted",
+}
+
+
+def _judgement(result: Result) -> list[str]:
+    """Whether anything was tampered with at all, and what the masks are worth, if that is known."""
+    lines = []
+    if result.verdict is not None:
+        lines.append(f"verdict  {result.verdict:.0%} that anything was tampered with")
+    counts = Counter(result.reliability.values())
+    if counts:
+        said = ", ".join(f"{counts[key]} {text}" for key, text in MASKS.items() if counts[key])
+        lines.append(f"masks    {said}")
+    return lines
 
 
 def _complain(message: str, code: int) -> int:

@@ -71,14 +71,17 @@ class Locate(Look):
         detector: A 2D detector instead: an ONNX model, which is shown the rendered views.
         preset: How to feed and read the model: iml-vit, trufor, mvss-net or pscc-net.
         spec: The same as a TOML file with the fields of `OnnxSpec`, for other models.
-        method: `official`: definitions and schedule of GS-Checker's released code. `paper`: the
-            equations as printed, over several epochs.
-        lambda2: Price of a Gaussian's weight outside the masks; at 10 it has to lie inside them by
-            91 %, at 1 by half. Smaller finds more where masks miss or disagree.
-        epochs: How often the optimisation looks at each view.
-        threshold: Score from which a Gaussian is tampered, relative to the highest.
-        mask_rule: What makes a pixel tampered: that the rendered score exceeds the threshold, that
-            tampered Gaussians have the larger share in it, or the released code's rule per view.
+        method: `robust`: asks what the mask of each view is worth. GS-Checker believes all views
+            alike: `official` is the schedule of its released code, `paper` its equations as
+            printed, over several epochs.
+        lambda2: Of GS-Checker: price of a Gaussian's weight outside the masks; at 10 it has to lie
+            inside them by 91 %, at 1 by half. Smaller finds more where masks miss or disagree.
+        epochs: Of GS-Checker: how often the optimisation looks at each view.
+        threshold: Above which a Gaussian is tampered: of `robust` a probability, of GS-Checker a
+            score relative to the highest.
+        mask_rule: What makes a pixel tampered: that tampered Gaussians have the larger share in it,
+            that the rendered score exceeds the threshold (attribute), or the released code's rule
+            per view.
         views: Look from this many cameras only, evenly spread over those that can be used. Of an
             orbit, this many are made, by default 24.
         scale: Size of the views relative to the cameras' images; 0.5 has a quarter of the pixels.
@@ -94,13 +97,20 @@ class Locate(Look):
         str | None, _arg(metavar="NAME", help_behavior_hint="(default: RGB in [0, 1])")
     ] = None
     spec: Annotated[Path | None, _arg(metavar="FILE.toml", help_behavior_hint="")] = None
-    method: Method = "official"
-    lambda2: Annotated[float, _arg(metavar="PRICE")] = 10.0
+    method: Method = "robust"
+    lambda2: Annotated[float | None, _arg(metavar="PRICE", help_behavior_hint="(default: 10)")] = (
+        None
+    )
     epochs: Annotated[
         int | None, _arg(metavar="N", help_behavior_hint="(default: official 1, paper 5)")
     ] = None
-    threshold: Annotated[float, _arg(metavar="SCORE")] = 0.1
-    mask_rule: MaskRule = "attribute"
+    threshold: Annotated[
+        float | None,
+        _arg(metavar="SCORE", help_behavior_hint="(default: robust 0.5, GS-Checker 0.1)"),
+    ] = None
+    mask_rule: Annotated[
+        MaskRule | None, _arg(help_behavior_hint="(default: robust share, GS-Checker attribute)")
+    ] = None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -170,6 +170,7 @@ def write_report(folder: Path, command: dict[str, Any], located: Located) -> Non
         "method": result.method,
         "config": dataclasses.asdict(result.config),
         "seed": result.config.seed,
+        "verdict": result.verdict,
         "counts": {
             "rows": scene.total,
             "dropped": scene.dropped,
@@ -223,6 +224,7 @@ def _view(camera: Camera, result: Result) -> dict[str, Any]:
         "height": camera.height,
         "tampered_share": float(result.masks[camera.name].mean()),
         "detector_share": None if said is None else float((said > 0.5).mean()),
+        "reliability": result.reliability.get(camera.name),
     }
 
 

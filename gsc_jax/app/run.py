@@ -33,7 +33,7 @@ from gsc_jax.io.files import existing_file
 from gsc_jax.io.masks import image_path, write_image
 from gsc_jax.io.ply import PlyScene, read_ply
 from gsc_jax.locate import locate
-from gsc_jax.method import METHODS, MethodConfig
+from gsc_jax.method import CONFIGS, Config, MethodConfig
 from gsc_jax.scene import Camera, Gaussians
 from gsc_jax.splat import render
 from gsc_jax.stages import Progress, Stages, silent
@@ -131,24 +131,37 @@ def run_render(options: Render, *, progress: Progress = silent) -> tuple[int, li
     return len(cameras), warnings
 
 
-def _config(options: Locate) -> MethodConfig:
+def _config(options: Locate) -> Config:
     """The method with what was asked for changed; None leaves a value to the method."""
-    method = METHODS[options.method]
-    if not 0 <= options.threshold < 1:
+    method = CONFIGS[options.method]
+    if options.threshold is not None and not 0 <= options.threshold < 1:
         raise InputError(f"--threshold {options.threshold:g}: expected 0 or more, and less than 1")
+    common = {
+        "threshold": method.threshold if options.threshold is None else options.threshold,
+        "near": options.near,
+        "mask_rule": options.mask_rule or method.mask_rule,
+        "seed": options.seed,
+    }
+    if isinstance(method, MethodConfig):
+        return dataclasses.replace(_schedule(options, method), **common)
+    for flag, value in (("lambda2", options.lambda2), ("epochs", options.epochs)):
+        if value is not None:
+            raise InputError(
+                f"--{flag} {value:g}: is of GS-Checker, not of {options.method}; give --method "
+                "official or --method paper with it"
+            )
+    return dataclasses.replace(method, **common)
+
+
+def _schedule(options: Locate, method: MethodConfig) -> MethodConfig:
+    """GS-Checker with the price and the epochs that were asked for."""
     if options.epochs is not None and options.epochs < 1:
         raise InputError(f"--epochs {options.epochs}: expected at least one")
-    if not (math.isfinite(options.lambda2) and options.lambda2 >= 0):
-        raise InputError(f"--lambda2 {options.lambda2:g}: expected 0 or more")
-    return dataclasses.replace(
-        method,
-        epochs=options.epochs or method.epochs,
-        loop=dataclasses.replace(method.loop, lambda2=options.lambda2),
-        threshold=options.threshold,
-        near=options.near,
-        mask_rule=options.mask_rule,
-        seed=options.seed,
-    )
+    lambda2 = method.loop.lambda2 if options.lambda2 is None else options.lambda2
+    if not (math.isfinite(lambda2) and lambda2 >= 0):
+        raise InputError(f"--lambda2 {lambda2:g}: expected 0 or more")
+    loop = dataclasses.replace(method.loop, lambda2=lambda2)
+    return dataclasses.replace(method, epochs=options.epochs or method.epochs, loop=loop)
 
 
 def load_scene(

@@ -1,7 +1,8 @@
 """What latent classes are: the authentic one, the tampered ones, and rivals that look like them.
 
 Only rates are compared here, class by class and view by view, as patterns of what is flagged where.
-The class of most weight is authentic, and a view that flags it is inverted. The tampered class is
+The class of most weight is authentic, those like it counted with it, and a view that flags it is
+inverted. The tampered class is
 the one that is flagged in most of the views that see it. What is flagged in clearly fewer, and in
 other views, is a rival: something authentic that the detector takes for tampered from some sides.
 A rival has to be sharp, flagged or not, or the ragged edge of the tampered class would be one.
@@ -86,8 +87,8 @@ def assign_roles(
         The roles, or None where all that is seen is of one class.
     """
     mass = weights.sum(axis=1)
-    authentic = int(np.argmax(mass))
     seen = np.minimum(1.0, weights / np.maximum(SEEN * weights.max(axis=1, keepdims=True), 1e-30))
+    authentic = _Table(rates=rates, seen=seen).heaviest(mass)
     inverted = inversion & (rates[authentic] > 0.5) & (seen[authentic] == 1)
     table = _Table(rates=np.where(inverted, 1 - rates, rates), seen=seen)
     others = mass > NEGLIGIBLE * mass.sum()
@@ -141,6 +142,16 @@ class _Table:
         """Number of views that tell each class from another one, shape (K,)."""
         differ = np.abs(self.rates - self.rates[other]) > DIFFERENT
         return (np.minimum(self.seen, self.seen[other]) * differ).sum(axis=1)
+
+    def heaviest(self, mass: np.ndarray) -> int:
+        """The largest of the classes that are flagged alike and together have most weight."""
+        flagged = self.rates > 0.5
+        unlike = [
+            (np.minimum(self.seen, seen) * (flagged != pattern)).sum(axis=1)
+            for seen, pattern in zip(self.seen, flagged, strict=True)
+        ]
+        alike = np.array(unlike) < ALIKE
+        return _most(mass, alike[np.argmax(alike @ mass)])
 
     def patterns(self, classes: Sequence[int] | np.ndarray, *, otherwise: int) -> np.ndarray:
         """Where classes are flagged; what does not see them says what it says of another one."""

@@ -185,7 +185,7 @@ def test_arrays_have_an_entry_per_row_of_the_file(found):
     assert not labels[list(BROKEN)].any()
     assert not tamper[list(BROKEN)].any()
     assert ((tamper >= 0) & (tamper <= 1)).all()
-    np.testing.assert_array_equal(labels, tamper > 0.1)
+    np.testing.assert_array_equal(labels, tamper > 0.5)
 
 
 def test_highlight_shows_what_can_be_rendered(found):
@@ -224,20 +224,21 @@ def test_result_json_says_what_was_done(case, found):
         "detector": None,
         "preset": None,
         "spec": None,
-        "method": "official",
-        "mask_rule": "attribute",
-        "lambda2": 10.0,
+        "method": "robust",
+        "mask_rule": None,
+        "lambda2": None,
         "epochs": None,
-        "threshold": 0.1,
+        "threshold": None,
         "no_cache": False,
         "views": None,
         "scale": 1.0,
         "near": 0.2,
         "seed": 0,
     }
-    assert said["method"] == "official"
-    assert said["config"]["threshold"] == 0.1
-    assert said["config"]["loop"]["lambda2"] == 10
+    assert said["method"] == "robust"
+    assert said["config"]["threshold"] == 0.5
+    assert 0 < said["verdict"] < 1
+    assert {view["reliability"] for view in said["per_view"]} <= {"finds", "misses", "inverted"}
     assert said["seed"] == 0
     counts = said["counts"]
     assert counts["rows"] == COUNT
@@ -402,7 +403,7 @@ def test_a_spec_says_how_to_feed_the_network(case, tmp_path):
     spec = tmp_path / "net.toml"
     spec.write_text('channels = "bgr"\n')
     argv = given(case, masks=None, detector=model, spec=spec)
-    assert run(*argv, "--out", tmp_path / "out").code == 0
+    assert run(*argv, "--out", tmp_path / "out", "--method", "official").code == 0
     truth = np.load(case / "truth.npy")
     assert f1_score(np.load(tmp_path / "out" / "labels.npy"), truth) < 0.5, "colours not swapped"
     spec.write_text("size = 0\n")
@@ -663,7 +664,7 @@ def test_help_teaches(command, capsys):
     assert "for example:" in text
     assert "--out DIR" in text
     if command == "locate":
-        assert "{paper,official}" in text
+        assert "{robust,paper,official}" in text
         assert "0.2" in text
         assert "world units" in text
 

@@ -38,7 +38,7 @@ def told(tmp_path_factory):
 
 def numbers(lines: list[str], begin: str) -> list[float]:
     """The numbers of the line that begins so."""
-    (line,) = [line for line in lines if line.startswith(begin)]
+    (line,) = [line for line in lines if line.startswith(f"{begin}  ")]
     return [float(x) for x in re.findall(r"[\d.]+", line.removeprefix(begin).replace(",", ""))]
 
 

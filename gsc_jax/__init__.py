@@ -11,6 +11,7 @@ from gsc_jax.io.ply import load_ply, read_ply, save_ply
 from gsc_jax.locate import Result, locate
 from gsc_jax.loop import LoopConfig
 from gsc_jax.method import METHODS, MethodConfig
+from gsc_jax.robust import RobustConfig
 from gsc_jax.scene import Camera, Gaussians
 from gsc_jax.splat import accumulate_maps as accumulate
 from gsc_jax.splat import render, render_features
@@ -29,6 +30,7 @@ __all__ = [
     "OnnxDetector",
     "OnnxSpec",
     "Result",
+    "RobustConfig",
     "accumulate",
     "load_cameras",
     "load_ply",

@@ -8,6 +8,7 @@ Skene 1979), from several starts at once, and the data chooses how many classes 
 Bayesian information criterion (Schwarz 1978).
 """
 
+import dataclasses
 import functools
 from collections.abc import Sequence
 
@@ -23,6 +24,8 @@ RATE_FLOOR = 0.02
 TOLERANCE = 1e-4
 """Gain in log likelihood per Gaussian at which EM has arrived."""
 MAX_ITERATIONS = 100
+VIEW_STEP = 16
+"""Views are padded to a multiple of this, so that another number of them seldom compiles anew."""
 
 
 @pytree
@@ -44,11 +47,13 @@ class Fit:
 
     Attributes:
         classes: Of the best start with the best number of classes.
+        belongs: Probability that a Gaussian is of each class, shape (K, S).
         criterion: Log likelihood less the price of the parameters, for every start, shape (R,).
         iterations: Of EM, for every start, shape (R,).
     """
 
     classes: Classes
+    belongs: Array
     criterion: Array
     iterations: Array
 
@@ -75,38 +80,30 @@ def fit_classes(
         raise ValueError(f"expected numbers of classes and restarts, got {counts} and {restarts}")
     if not np.shape(flagged)[1]:
         raise ValueError("expected the evidence of at least one Gaussian, got none")
-    flagged, clear = jnp.asarray(flagged, jnp.float32), jnp.asarray(clear, jnp.float32)
+    views = np.shape(flagged)[0]
+    blind = ((0, -views % VIEW_STEP), (0, 0))
+    flagged, clear = (jnp.pad(jnp.asarray(x, jnp.float32), blind) for x in (flagged, clear))
     used = np.repeat(counts, restarts)[:, None] > np.arange(max(counts), dtype=np.int32)
     keys = jax.random.split(jax.random.key(seed), len(used))
-    return _fit_all(flagged, clear, jnp.asarray(used, jnp.float32), keys)
-
-
-@jax.jit
-def membership(classes: Classes, flagged: Array, clear: Array) -> jax.Array:
-    """The E step: probability that a Gaussian is of each class.
-
-    Args:
-        classes: K classes with rates in V views.
-        flagged: Effective number of times that a Gaussian was flagged, shape (V, S).
-        clear: The same for not flagged, shape (V, S).
-
-    Returns:
-        Probabilities that add up to 1, shape (K, S).
-    """
-    return jax.nn.softmax(_log_joint(classes, flagged, clear), axis=0)
+    fit = _fit_all(flagged, clear, jnp.asarray(used, jnp.float32), keys)
+    classes = dataclasses.replace(fit.classes, rates=fit.classes.rates[:, :views])
+    return dataclasses.replace(fit, classes=classes)
 
 
 @jax.jit
 def _fit_all(flagged: Array, clear: Array, used: Array, keys: Array) -> Fit:
-    fits = jax.vmap(functools.partial(_fit_one, flagged, clear))(used, keys)
-    best = jnp.argmax(fits.criterion)
-    classes = jax.tree.map(lambda leaf: leaf[best], fits.classes)
-    return Fit(classes=classes, criterion=fits.criterion, iterations=fits.iterations)
+    fitted, criterion, iterations = jax.vmap(functools.partial(_fit_one, flagged, clear))(
+        used, keys
+    )
+    best = jnp.argmax(criterion)
+    classes = jax.tree.map(lambda leaf: leaf[best], fitted)
+    belongs = jax.nn.softmax(_log_joint(classes, flagged, clear), axis=0)
+    return Fit(classes=classes, belongs=belongs, criterion=criterion, iterations=iterations)
 
 
-def _fit_one(flagged: Array, clear: Array, used: Array, key: Array) -> Fit:
-    """EM from one start, until the likelihood no longer rises."""
-    views, size = flagged.shape
+def _fit_one(flagged: Array, clear: Array, used: Array, key: Array) -> tuple[Classes, Array, Array]:
+    """EM from one start, until the likelihood no longer rises: classes, criterion, iterations."""
+    size = flagged.shape[1]
 
     def arrived(state: tuple[Classes, Array, Array, Array]) -> Array:
         _, likelihood, before, iteration = state
@@ -125,9 +122,10 @@ def _fit_one(flagged: Array, clear: Array, used: Array, key: Array) -> Fit:
     )
     begin = (start, jnp.float32(-1e30), jnp.float32(-jnp.inf), jnp.int32(0))
     classes, likelihood, _, iterations = jax.lax.while_loop(arrived, step, begin)
+    views = jnp.sum(jnp.any(flagged + clear > 0, axis=1), dtype=jnp.float32)
     parameters = jnp.sum(used) * (views + 1)
     price = 0.5 * parameters * jnp.log(jnp.float32(size))
-    return Fit(classes=classes, criterion=likelihood - price, iterations=iterations)
+    return classes, likelihood - price, iterations
 
 
 def _log_joint(classes: Classes, flagged: Array, clear: Array) -> Array:

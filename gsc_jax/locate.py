@@ -13,9 +13,11 @@ from gsc_jax.decide import view_mask
 from gsc_jax.detection import Detector, as_detector
 from gsc_jax.errors import InputError
 from gsc_jax.finding import Finding, Reliability
+from gsc_jax.frugal import Effort, observe_enough
 from gsc_jax.method import CONFIGS, Config, Method, find, settled
 from gsc_jax.observe import observe
 from gsc_jax.parallel import WORKERS, ahead
+from gsc_jax.robust import RobustConfig
 from gsc_jax.scene import Camera, Gaussians, invalid_rows
 from gsc_jax.stages import Progress, Stages, silent
 from gsc_jax.views import check_views
@@ -40,6 +42,7 @@ class Result:
         detections: What the 2D detector said, (H, W) float16 in [0, 1], by camera name.
         seen: Gaussians that contributed to some pixel, shape (N,) bool.
         group_sizes: Sizes of G_h, G_m and G_l in every iteration, shape (iterations, 3).
+        effort: How many views `robust` looked at, and why no more; None where all were wanted.
         method: Name of the method.
         config: Its resolved configuration.
         stages: By stage its seconds, which overlap where views are worked on in threads, and the
@@ -57,6 +60,7 @@ class Result:
     detections: dict[str, np.ndarray]
     seen: np.ndarray
     group_sizes: np.ndarray
+    effort: Effort | None
     method: str
     config: Config
     stages: dict[str, dict[str, float]]
@@ -100,12 +104,18 @@ def locate(
     gaussians = jax.tree.map(jnp.asarray, gaussians)
     chosen = _select(detector, cameras, warnings)
 
-    observation = observe(
-        gaussians, chosen, detector, near=config.near, stages=stages, progress=progress
-    )
-    config = settled(config, len(chosen))
-    with stages("optimise"):
-        finding = find(gaussians, chosen, observation, config)
+    if isinstance(config, RobustConfig) and config.tolerance > 0:
+        chosen, observation, finding, effort = observe_enough(
+            gaussians, chosen, detector, config, stages=stages, progress=progress
+        )
+    else:
+        observation = observe(
+            gaussians, chosen, detector, near=config.near, stages=stages, progress=progress
+        )
+        effort = None
+        config = settled(config, len(chosen))
+        with stages("optimise"):
+            finding = find(gaussians, chosen, observation, config)
     seen, flagged, detections = observation.evidence.seen, observation.masks, observation.detections
     del observation  # the evidence is the largest thing there is, and the masks do not need it
     masks = _masks(gaussians, cameras, finding, config, stages, progress)
@@ -119,6 +129,7 @@ def locate(
         detections=detections,
         seen=seen,
         group_sizes=finding.group_sizes,
+        effort=effort,
         method=config.name,
         config=config,
         stages=stages.summary(),

@@ -45,6 +45,7 @@ def observe(
     detector: Detector,
     *,
     near: float = NEAR,
+    evidence: Evidence | None = None,
     stages: Stages | None = None,
     progress: Progress = silent,
 ) -> Observation:
@@ -55,6 +56,7 @@ def observe(
         cameras: V views that the detector can judge.
         detector: The 2D detector.
         near: Near plane in world units.
+        evidence: Arrays (V, N) to fill, by default new ones.
         stages: Where to note the time of each stage.
         progress: Called with (stage, done, total).
 
@@ -62,7 +64,8 @@ def observe(
         The observation, its views in the order of the cameras.
     """
     stages = stages or Stages()
-    evidence = blank_evidence(len(cameras), len(gaussians))
+    if evidence is None:
+        evidence = blank_evidence(len(cameras), len(gaussians))
     masks, detections = {}, {}
 
     def prepare(camera: Camera) -> tuple[View, np.ndarray | None]:

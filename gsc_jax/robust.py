@@ -13,7 +13,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from gsc_jax.classes import fit_classes, membership
+from gsc_jax.classes import Fit, fit_classes
 from gsc_jax.decide import MaskRule
 from gsc_jax.evidence import Evidence
 from gsc_jax.finding import DISAGREE, Finding, Reliability, undisputed
@@ -42,6 +42,8 @@ class RobustConfig:
         certainty: Log odds of a class against another after a view that tells them apart.
         smoothing: Log odds that neighbours of one mind add; 0 asks none.
         neighbours: How many are asked.
+        tolerance: `locate` looks from no more cameras once further views change less than this
+            share of what is labelled; 0 looks from all.
         threshold: Probability above which a Gaussian is tampered.
         mask_rule: How labels become masks.
         near: Near plane in world units.
@@ -59,6 +61,7 @@ class RobustConfig:
     certainty: float = 3.0
     smoothing: float = 5.0
     neighbours: int = 8
+    tolerance: float = 0.02
     threshold: float = 0.5
     mask_rule: MaskRule = "share"
     near: float = NEAR
@@ -73,14 +76,14 @@ class Estimate:
         probability: That a Gaussian is tampered, if anything is, shape (N,) float32; 0 where
             nothing was seen.
         roles: What the classes are; None where there is only one.
-        iterations: Of EM.
         classes: How many the data asked for.
+        iterations: Of EM, until the likelihood no longer rose, from the start that took longest.
     """
 
     probability: np.ndarray
     roles: Roles | None
-    iterations: int
     classes: int
+    iterations: int
 
 
 def find_robust(evidence: Evidence, means: Array, config: RobustConfig) -> Finding:
@@ -154,41 +157,48 @@ def estimate(evidence: Evidence, means: Array, config: RobustConfig) -> Estimate
     """
     looks, flags = _totals(evidence, config.trust)
     seen = looks > 0
-    nothing = Estimate(
-        probability=np.zeros(len(seen), np.float32), roles=None, iterations=0, classes=0
-    )
+    nothing = np.zeros(len(seen), np.float32)
     if not seen.any():
-        return nothing
-    chosen, worth = _sample(looks, flags, config.sample)
+        return Estimate(probability=nothing, roles=None, classes=0, iterations=0)
+    roles, fit = _classify(evidence, _sample(looks, flags, config.sample), config)
+    found = Estimate(
+        probability=nothing,
+        roles=roles,
+        classes=int(np.sum(np.asarray(fit.classes.shares) > 0)),
+        iterations=int(np.max(fit.iterations)),
+    )
+    if roles is None:
+        return found
+    belief = smoothed(
+        -config.certainty * disagreement(evidence, roles, config.trust),
+        means,
+        seen,
+        strength=config.smoothing,
+        neighbours=config.neighbours,
+    )
+    # The best of each kind: many rivals that hardly differ must not outvote one tampered class.
+    tampered, other = (belief[:, kind].max(axis=1) for kind in (roles.tampered, ~roles.tampered))
+    probability = np.where(seen, tampered / (tampered + other), 0.0).astype(np.float32)
+    return dataclasses.replace(found, probability=probability)
+
+
+def _classify(
+    evidence: Evidence, sample: tuple[np.ndarray, np.ndarray], config: RobustConfig
+) -> tuple[Roles | None, Fit]:
+    """The classes of a sample of Gaussians, and what they are."""
+    chosen, worth = sample
     looked, flagged = looks_of(evidence, chosen, config.trust)
-    clear = looked - flagged
     fit = fit_classes(
         config.pixels * flagged,
-        config.pixels * clear,
+        config.pixels * (looked - flagged),
         counts=config.classes,
         restarts=config.restarts,
         seed=config.seed,
     )
-    belongs = membership(fit.classes, config.pixels * flagged, config.pixels * clear)
     used = np.asarray(fit.classes.shares) > 0
-    weights = (np.asarray(belongs) * worth) @ looked.T
-    roles = assign_roles(
-        np.asarray(fit.classes.rates)[used],
-        weights[used],
-        inversion=config.inversion,
-        rivals=config.rivals,
-    )
-    found = dataclasses.replace(
-        nothing, roles=roles, iterations=int(np.max(fit.iterations)), classes=int(used.sum())
-    )
-    if roles is None:
-        return found
-    logits = -config.certainty * disagreement(evidence, roles, config.trust)
-    belief = smoothed(logits, means, seen, strength=config.smoothing, neighbours=config.neighbours)
-    # The best of each kind: many rivals that hardly differ must not outvote one tampered class.
-    tampered, other = (belief[:, kind].max(axis=1) for kind in (roles.tampered, ~roles.tampered))
-    probability = np.where(seen, tampered / (tampered + other), 0.0)
-    return dataclasses.replace(found, probability=probability.astype(np.float32))
+    weights = (np.asarray(fit.belongs) * worth) @ looked.T
+    options = {"inversion": config.inversion, "rivals": config.rivals}
+    return assign_roles(np.asarray(fit.classes.rates)[used], weights[used], **options), fit
 
 
 def disagreement(evidence: Evidence, roles: Roles, trust: float) -> np.ndarray:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gsc_jax.classes import RATE_FLOOR, fit_classes, membership
+from gsc_jax.classes import RATE_FLOOR, fit_classes
 
 RATES = np.array(
     [[0.1, 0.1, 0.1, 0.1, 0.1, 0.1], [0.9, 0.9, 0.1, 0.9, 0.9, 0.9], [0.1, 0.9, 0.9, 0.1, 0.9, 0.1]]
@@ -34,10 +34,10 @@ def test_the_data_choose_the_number_of_classes():
     assert np.asarray(fit.criterion).shape == np.asarray(fit.iterations).shape == (9,)
 
 
-def test_membership_tells_the_kinds_apart_and_adds_up_to_one():
+def test_belonging_tells_the_kinds_apart_and_adds_up_to_one():
     kinds, flagged, clear = drawn()
     fit = fit_classes(flagged, clear, counts=(3,), restarts=4)
-    belongs = np.asarray(membership(fit.classes, flagged, clear))
+    belongs = np.asarray(fit.belongs)
     np.testing.assert_allclose(belongs.sum(axis=0), 1, atol=1e-5)
     order = np.argsort(-np.asarray(fit.classes.shares))
     assert np.mean(np.argmax(belongs[order], axis=0) == kinds) > 0.98
@@ -49,7 +49,7 @@ def test_rates_are_never_certain_and_unseen_gaussians_say_nothing():
     fit = fit_classes(flagged, clear, counts=(2,))
     rates = np.asarray(fit.classes.rates)
     assert RATE_FLOOR <= rates.min() <= rates.max() <= 1 - RATE_FLOOR
-    belongs = np.asarray(membership(fit.classes, flagged, clear))
+    belongs = np.asarray(fit.belongs)
     np.testing.assert_allclose(belongs[:, -1], np.asarray(fit.classes.shares), atol=1e-6)
 
 

@@ -150,6 +150,9 @@ def _judgement(result: Result) -> list[str]:
     if counts:
         said = ", ".join(f"{counts[key]} {text}" for key, text in MASKS.items() if counts[key])
         lines.append(f"masks    {said}")
+    if result.effort and result.effort.views < result.effort.available:
+        effort = result.effort
+        lines.append(f"looked   at {effort.views} of {effort.available} views: {effort.reason}")
     return lines
 
 

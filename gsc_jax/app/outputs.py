@@ -181,6 +181,8 @@ def write_report(folder: Path, command: dict[str, Any], located: Located) -> Non
         },
         "views": len(result.masks),
         "judged_views": len(result.detections),
+        "effort": result.effort
+        and {**dataclasses.asdict(result.effort), "reason": result.effort.reason},
         "tampered_share_of_views": located.visible_share,
         "per_view": [_view(camera, result) for camera in located.cameras],
         "seconds": located.seconds,

@@ -1,0 +1,85 @@
+"""Looking no longer than it takes: which views, how many, and that nothing depends on it."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from strategies import blobs, camera
+
+from gsc_jax import RobustConfig, locate
+from gsc_jax.decide import rendered_share
+from gsc_jax.evidence import Evidence
+from gsc_jax.frugal import FIRST, batches, changed, spread
+
+GRID = [[x, y, 3] for x in np.linspace(-1.5, 1.5, 7) for y in np.linspace(-0.8, 0.8, 5)]
+SCENE = blobs(GRID, opacity=0.95, scale=0.2)
+TRUTH = np.array([x > 0.8 for x, _, _ in GRID])
+VIEWS = 30
+
+
+def cameras():
+    found = []
+    for index in range(VIEWS):
+        viewmat = np.eye(4)
+        viewmat[0, 3] = 0.02 * (index - VIEWS / 2)
+        found.append(dataclasses.replace(camera(24, 16, viewmat=viewmat), name=f"view_{index}"))
+    return found
+
+
+CAMERAS = cameras()
+MASKS = {c.name: rendered_share(SCENE, c, TRUTH) for c in CAMERAS}
+
+
+@given(st.integers(1, 300))
+def test_every_view_comes_once_and_early_ones_lie_far_apart(count):
+    order = spread(count)
+    assert sorted(order) == list(range(count))
+    if count >= 16:
+        gaps = np.diff(sorted(order[:8]))
+        assert gaps.min() >= count // 16
+
+
+@given(st.integers(1, 1000))
+def test_batches_grow_and_end_with_all(count):
+    ends = list(batches(count))
+    assert ends[-1] == count
+    assert ends == sorted(set(ends))
+    assert len(ends) == 1 or ends[0] == FIRST
+
+
+def test_views_are_added_until_the_labels_stay():
+    result = locate(SCENE, CAMERAS, MASKS)
+    assert result.effort is not None
+    assert result.effort.views < result.effort.available == VIEWS
+    assert result.effort.changes[-1] < 0.02
+    assert "changed" in result.effort.reason
+    assert len(result.detections) == len(result.reliability) == result.effort.views
+    assert len(result.masks) == VIEWS, "the final masks are those of every view"
+    assert np.array_equal(result.labels, TRUTH)
+
+
+def test_progress_counts_on_over_the_batches():
+    told = []
+    locate(SCENE, CAMERAS, MASKS, progress=lambda *args: told.append(args))
+    looked = [(done, total) for stage, done, total in told if stage == "look"]
+    assert looked == [(k, VIEWS) for k in range(1, len(looked) + 1)]
+
+
+def test_without_tolerance_every_view_is_looked_at():
+    result = locate(SCENE, CAMERAS, MASKS, config=RobustConfig(tolerance=0.0))
+    assert result.effort is None
+    assert len(result.detections) == VIEWS
+
+
+@pytest.mark.parametrize(
+    ("after", "expected"),
+    [([1, 1, 0], 0.0), ([1, 0, 0], 0.5), ([0, 0, 1], 1.0), ([1, 1, 1], 1 / 3)],
+)
+def test_change_is_a_share_of_the_labelled_weight(after, expected):
+    evidence = Evidence(total=np.ones((2, 3)), tampered=np.zeros((2, 3)))
+    before = np.array([True, True, False])
+    assert changed(before, np.array(after, bool), evidence) == pytest.approx(expected)
+    nobody = np.zeros(3, bool)
+    assert changed(nobody, nobody, evidence) == 0

@@ -115,6 +115,7 @@ VARIANTS: Mapping[str, Method] = {
     "robust: no inverted views": without(inversion=False),
     "robust: no rivals": without(rivals=False),
     "robust: 8 classes": without(classes=(8,)),
+    "robust: up to 12 classes": without(classes=(4, 8, 12)),
     "robust: 16 neighbours": without(neighbours=16),
     "robust: neighbours by colour too": by_colour_too,
     "robust: compact": compact,

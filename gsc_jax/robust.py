@@ -51,7 +51,7 @@ class RobustConfig:
     """
 
     name: str = "robust"
-    classes: tuple[int, ...] = (4, 8, 12)
+    classes: tuple[int, ...] = (4, 8)
     restarts: int = 2
     sample: int = 8192
     trust: float = 8.0

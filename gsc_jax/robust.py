@@ -9,6 +9,7 @@ say nothing about it, inverted ones are turned, and what is flagged only from so
 """
 
 import dataclasses
+import typing
 from collections.abc import Iterator
 
 import numpy as np
@@ -42,6 +43,7 @@ class RobustConfig:
         certainty: Log odds of a class against another after a view that tells them apart.
         smoothing: Log odds that neighbours of one mind add; 0 asks none.
         neighbours: How many are asked.
+        doubt: Nothing is labelled where the verdict on the scene is less likely than this.
         tolerance: `locate` looks from no more cameras once further views change less than this
             share of what is labelled; 0 looks from all.
         threshold: Probability above which a Gaussian is tampered.
@@ -61,11 +63,24 @@ class RobustConfig:
     certainty: float = 3.0
     smoothing: float = 5.0
     neighbours: int = 8
+    doubt: float = 0.05
     tolerance: float = 0.02
     threshold: float = 0.5
     mask_rule: MaskRule = "share"
     near: float = NEAR
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Refuse what the estimator does not understand."""
+        if self.mask_rule not in typing.get_args(MaskRule):
+            known = ", ".join(typing.get_args(MaskRule))
+            raise ValueError(f"mask_rule must be one of {known}, got {self.mask_rule!r}")
+        for name in ("sample", "trust", "pixels", "certainty", "neighbours", "near"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} must be above 0, got {getattr(self, name)}")
+        for name in ("doubt", "tolerance", "threshold"):
+            if not 0 <= getattr(self, name) < 1:
+                raise ValueError(f"{name} must be in [0, 1), got {getattr(self, name)}")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -101,16 +116,16 @@ def find_robust(evidence: Evidence, means: Array, config: RobustConfig) -> Findi
     if clear:
         return dataclasses.replace(clear, verdict=verdict(float(clear.labels.any())))
     found = estimate(evidence, means, config)
-    labels = found.probability > config.threshold
-    within = np.clip(found.probability, 1e-7, 1 - 1e-7)
-    odds = np.where(found.probability > 0, np.log(within / (1 - within)), 0.0)
-    rate = found.roles.rate if found.roles else 0.0
+    certain = verdict(found.roles.rate if found.roles else 0.0)
+    tamper = found.probability if certain >= config.doubt else np.zeros_like(found.probability)
+    labels = tamper > config.threshold
+    within = np.clip(tamper, 1e-7, 1 - 1e-7)
     return Finding(
-        attribute=odds.astype(np.float32),
-        tamper=found.probability,
+        attribute=np.where(tamper > 0, np.log(within / (1 - within)), 0.0).astype(np.float32),
+        tamper=tamper,
         labels=labels,
         group_sizes=np.zeros((0, 3), np.int32),
-        verdict=verdict(rate),
+        verdict=certain,
         reliability=_reliability(found.roles),
         warnings=_doubts(found.roles, labels),
     )
@@ -128,7 +143,8 @@ def _reliability(roles: Roles | None) -> tuple[Reliability, ...]:
 def _doubts(roles: Roles | None, labels: np.ndarray) -> list[str]:
     """What a user should know before believing the labels."""
     if roles is None or not labels.any():
-        return [DISAGREE]
+        often = f" None was flagged in more than {roles.rate:.0%} of them." if roles else ""
+        return [DISAGREE + often]
     warnings = []
     if verdict(roles.rate) < 0.5:
         warnings.append(

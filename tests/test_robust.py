@@ -111,6 +111,26 @@ def test_the_verdict_rises_with_the_share_of_the_views_that_find_it():
     assert any("perhaps nothing was tampered with" in text for text in untouched.warnings)
 
 
+def test_what_few_views_flag_is_labelled_only_if_that_is_asked_for():
+    flagged = np.zeros((VIEWS, COUNT), bool)
+    flagged[np.ix_([2, 7], KINDS == DECOY)] = True
+    few = find_robust(masked(flagged), MEANS, CONFIG)
+    assert not few.labels.any()
+    assert not few.tamper.any()
+    assert any("None was flagged in more than 17% of them" in text for text in few.warnings)
+    believing = find_robust(masked(flagged), MEANS, dataclasses.replace(CONFIG, doubt=0.0))
+    assert np.array_equal(believing.labels, KINDS == DECOY)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"mask_rule": "all"}, {"sample": 0}, {"trust": 0.0}, {"threshold": 1.0}, {"doubt": -0.1}],
+)
+def test_a_configuration_without_meaning_is_refused(wrong):
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        RobustConfig(**wrong)
+
+
 def test_nothing_flagged_and_everything_flagged_are_defined():
     nothing = find_robust(Evidence(total=TOTAL, tampered=np.zeros_like(TOTAL)), MEANS, CONFIG)
     assert not nothing.labels.any()

@@ -20,7 +20,7 @@ from cases import Case, detector_masks, untouched
 from looks import Method, look
 from matplotlib import pyplot as plt
 from methods import ALL_METHODS
-from runner import ITSELF, TRUTH, Args, judge, measured, start
+from runner import ITSELF, TRUTH, ChosenArgs, judge, measured, start
 from tables import Row, mean, pivot, values_of, where, write_section
 
 from gsc_jax.benchmark.simulate import REGIMES
@@ -74,7 +74,7 @@ def chart(rows: list[Row], path: Path) -> None:
     charts.save(figure, path)
 
 
-def main(args: Args) -> None:
+def main(args: ChosenArgs) -> None:
     """Judge every untouched scene; print and write the tables and the chart."""
     cases = args.cases(edits=("modification",))
     methods = args.among(ALL_METHODS)

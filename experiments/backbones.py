@@ -16,7 +16,7 @@ import charts
 from cases import Case, detector_masks, masks_of
 from looks import Method, look
 from methods import ALL_METHODS
-from runner import REFERENCE, Args, judge, measured, start
+from runner import REFERENCE, ChosenArgs, judge, measured, start
 from tables import Row, pivot, write_section
 
 from gsc_jax.benchmark.difference import DifferenceDetector
@@ -28,7 +28,7 @@ from gsc_jax.errors import InputError
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class BackboneArgs(Args):
+class BackboneArgs(ChosenArgs):
     """Those of every experiment, and networks to run it behind.
 
     Attributes:

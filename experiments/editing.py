@@ -16,7 +16,7 @@ import numpy as np
 from cases import Case, calibrated_mixture, detector_masks
 from looks import Method, look
 from methods import ALL_METHODS, sagd
-from runner import ITSELF, REFERENCE, Args, judge, measured, start
+from runner import ITSELF, REFERENCE, ChosenArgs, judge, measured, start
 from tables import Row, markdown, pivot, values_of, where, write_section
 
 from gsc_jax.benchmark.simulate import REGIMES
@@ -81,7 +81,7 @@ def report(rows: list[Row]) -> str:
     mixture = where(rows, regime="mixture")
     rows = [row for row in rows if row["method"] != BOUNDARY]
     # These do not depend on what is rendered.
-    same = [name for name in values_of(rows, "method") if name.endswith("own rule")]
+    same = [name for name in values_of(rows, "method") if name.endswith(("own rule", "rendered"))]
     of_gaussians = [row for row in rows if row["method"] not in (*same, ITSELF)]
     quoted = {
         f"paper, {edit}": {name: f"{values[edit]:.2f}" for name, values in PAPER.items()}
@@ -111,7 +111,7 @@ def report(rows: list[Row]) -> str:
     )
 
 
-def main(args: Args) -> None:
+def main(args: ChosenArgs) -> None:
     """Judge every case; print and write the tables and the chart."""
     methods = args.among({**ALL_METHODS, BOUNDARY: sagd})
     rows = measured(args, "editing", (rows_of(case, methods) for case in args.cases()))

@@ -128,6 +128,6 @@ ALL_METHODS: Mapping[str, Method] = {
     "GS-Checker official, no 3D loss": checker(without_3d(METHODS["official"])),
     "GS-Checker paper": checker(METHODS["paper"]),
     "robust": checker(RobustConfig()),
-    "robust, own rule": checker(RobustConfig(), own_rule=True),
+    "robust, rendered": checker(RobustConfig(), own_rule=True),
 }
 """Every method of the tables, judged by its labels; by what it renders itself where it says so."""

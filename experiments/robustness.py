@@ -21,7 +21,7 @@ import jax.numpy as jnp
 from cases import Case, calibrated_mixture, detector_masks, masks_of
 from looks import Method, look
 from methods import ALL_METHODS
-from runner import REFERENCE, Args, judge, measured, start
+from runner import REFERENCE, ChosenArgs, judge, measured, start
 from tables import Row, pivot, values_of, where, write_section
 
 from gsc_jax.benchmark.difference import DifferenceDetector
@@ -91,7 +91,7 @@ def report(rows: list[Row]) -> str:
     )
 
 
-def main(args: Args) -> None:
+def main(args: ChosenArgs) -> None:
     """Judge every modification; print and write the tables and the chart."""
     cases = args.cases(edits=("modification",))
     methods = args.among(ALL_METHODS)

@@ -59,8 +59,7 @@ class Args:
         scenes: Which scenes; all that are there by default.
         edits: Which kinds of edit.
         seeds: How many seeds per scene and edit.
-        methods: Measure these methods only, by the names in the tables; the rows of all others are
-            kept from the CSV in the folder.
+        first_seed: The first of them. The tables begin at 0; `robust` was tuned on 10 and 11.
         reprint: Measure nothing: make the tables and charts again of the CSV in the folder.
     """
 
@@ -70,21 +69,15 @@ class Args:
     scenes: tuple[str, ...] = ()
     edits: tuple[Edit, ...] = EDITS
     seeds: int = 3
-    methods: tuple[str, ...] = ()
+    first_seed: int = 0
     reprint: bool = False
-
-    def among(self, known: Mapping[str, Method]) -> dict[str, Method]:
-        """Of the methods those asked for; all where none is."""
-        unknown = [name for name in self.methods if name not in known]
-        if unknown:
-            raise InputError(f"--methods {unknown[0]!r}: expected some of {', '.join(known)}")
-        return {name: known[name] for name in self.methods or known}
 
     def cases(self, edits: Sequence[Edit] | None = None) -> Iterator[Case]:
         """The cases covered, scene by scene; in a quick run one edit of one made scene each."""
         scenes = (QUICK,) if self.quick else self.scenes or available(self.data)
         count = 1 if self.quick else self.seeds
-        jobs = list(itertools.product(scenes, edits or self.edits, range(count)))
+        seeds = range(self.first_seed, self.first_seed + count)
+        jobs = list(itertools.product(scenes, edits or self.edits, seeds))
         for scene, edit, seed in tqdm(jobs, desc="cases", disable=None):
             yield make_case(scene, edit, seed, self.data)
 
@@ -96,6 +89,25 @@ class Args:
                 yield from one.cases([self.edits[k % len(self.edits)]])
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ChosenArgs(Args):
+    """As the others, and which methods.
+
+    Attributes:
+        methods: Measure these methods only, by the names in the tables; the rows of all others are
+            kept from the CSV in the folder.
+    """
+
+    methods: tuple[str, ...] = ()
+
+    def among(self, known: Mapping[str, Method]) -> dict[str, Method]:
+        """Of the methods those asked for; all where none is."""
+        unknown = [name for name in self.methods if name not in known]
+        if unknown:
+            raise InputError(f"--methods {unknown[0]!r}: expected some of {', '.join(known)}")
+        return {name: known[name] for name in self.methods or known}
+
+
 def measured(args: Args, name: str, per_case: Iterable[Iterable[Row]]) -> list[Row]:
     """The rows of all cases, kept in OUT/NAME.partial.csv on the way; or those measured before."""
     path, partial = args.out / f"{name}.csv", args.out / f"{name}.partial.csv"
@@ -103,7 +115,8 @@ def measured(args: Args, name: str, per_case: Iterable[Iterable[Row]]) -> list[R
         return read_csv(existing_file(path, expected="rows measured before"))
     if args.quick and path.exists():
         raise InputError(f"{path}: is there; a quick run would replace it, give another --out")
-    before = read_csv(existing_file(path, expected="rows of the others")) if args.methods else []
+    chosen = isinstance(args, ChosenArgs) and args.methods
+    before = read_csv(existing_file(path, expected="rows of the others")) if chosen else []
     args.out.mkdir(parents=True, exist_ok=True)
     rows: list[Row] = []
     for more in per_case:
@@ -127,7 +140,7 @@ def beside(before: Sequence[Row], rows: Sequence[Row]) -> list[Row]:
 
 
 def _case(row: Row) -> tuple[object, ...]:
-    return tuple(row[key] for key in ("scene", "edit", "seed"))
+    return tuple(row[key] for key in ("scene", "edit", "seed", "regime"))
 
 
 def start(main: Callable[[Any], None], description: str | None) -> None:

@@ -24,8 +24,8 @@ RATE_FLOOR = 0.02
 TOLERANCE = 1e-4
 """Gain in log likelihood per Gaussian at which EM has arrived."""
 MAX_ITERATIONS = 100
-VIEW_STEP = 16
-"""Views are padded to a multiple of this, so that another number of them seldom compiles anew."""
+FEWEST = 16
+"""Views are padded to a power of two from here, so that another number seldom compiles anew."""
 
 
 @pytree
@@ -34,7 +34,7 @@ class Classes:
 
     Attributes:
         rates: Probability of being flagged, by class and view, shape (K, V).
-        shares: Share of the Gaussians in each class, shape (K,).
+        shares: Share of those it was fitted to in each class, shape (K,).
     """
 
     rates: Array
@@ -81,7 +81,7 @@ def fit_classes(
     if not np.shape(flagged)[1]:
         raise ValueError("expected the evidence of at least one Gaussian, got none")
     views = np.shape(flagged)[0]
-    blind = ((0, -views % VIEW_STEP), (0, 0))
+    blind = ((0, max(FEWEST, 1 << (views - 1).bit_length()) - views), (0, 0))
     flagged, clear = (jnp.pad(jnp.asarray(x, jnp.float32), blind) for x in (flagged, clear))
     used = np.repeat(counts, restarts)[:, None] > np.arange(max(counts), dtype=np.int32)
     keys = jax.random.split(jax.random.key(seed), len(used))
@@ -107,14 +107,14 @@ def _fit_one(flagged: Array, clear: Array, used: Array, key: Array) -> tuple[Cla
 
     def arrived(state: tuple[Classes, Array, Array, Array]) -> Array:
         _, likelihood, before, iteration = state
-        return (likelihood - before > TOLERANCE * size) & (iteration < MAX_ITERATIONS)
+        return (likelihood - before > TOLERANCE) & (iteration < MAX_ITERATIONS)
 
     def step(state: tuple[Classes, Array, Array, Array]) -> tuple[Classes, Array, Array, Array]:
         classes, likelihood, _, iteration = state
         joint = _log_joint(classes, flagged, clear)
         total = jax.nn.logsumexp(joint, axis=0)
         classes = _maximise(jnp.exp(joint - total[None]), flagged, clear, used)
-        return classes, jnp.sum(total), likelihood, iteration + 1
+        return classes, jnp.mean(total), likelihood, iteration + 1
 
     start = Classes(
         rates=_spread(flagged, clear, len(used), key),
@@ -125,7 +125,7 @@ def _fit_one(flagged: Array, clear: Array, used: Array, key: Array) -> tuple[Cla
     views = jnp.sum(jnp.any(flagged + clear > 0, axis=1), dtype=jnp.float32)
     parameters = jnp.sum(used) * (views + 1)
     price = 0.5 * parameters * jnp.log(jnp.float32(size))
-    return classes, likelihood - price, iterations
+    return classes, size * likelihood - price, iterations
 
 
 def _log_joint(classes: Classes, flagged: Array, clear: Array) -> Array:

@@ -37,7 +37,7 @@ class Evidence:
     def seen(self) -> np.ndarray:
         """Gaussians that contribute to some pixel of some view, shape (N,)."""
         total = np.asarray(self.total)
-        views = total.reshape(-1, total.shape[-1])
+        views = np.atleast_2d(total)
         # View by view, as everywhere: what is kept on disk is never in memory all at once.
         nowhere = np.zeros(views.shape[1], bool)
         return functools.reduce(np.logical_or, (view > 0 for view in views), nowhere)

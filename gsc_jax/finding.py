@@ -7,8 +7,9 @@ import numpy as np
 
 from gsc_jax.evidence import Evidence
 
-Reliability = Literal["finds", "misses", "inverted"]
-"""Whether a mask flags what is tampered; an inverted one flags everything else."""
+Reliability = Literal["finds", "misses", "inverted", "unseen"]
+"""Whether a mask flags what is tampered; an inverted one flags everything else, and a view may not
+show it at all."""
 DISAGREE = "Pixels were flagged, but the views agree on no tampered Gaussian."
 """The warning of a method that finds nothing in masks that are not empty."""
 

@@ -112,7 +112,8 @@ def _ever_more(
         labels = finding.labels
         effort = Effort(views=end, available=len(order), changes=tuple(changes))
         yield order[:end], observation, finding, effort
-        if changes and changes[-1] < config.tolerance:
+        # Where nothing was found yet, the next views may be the first to see it.
+        if labels.any() and changes and changes[-1] < config.tolerance:
             return
 
 

@@ -32,7 +32,7 @@ class Result:
 
     Attributes:
         tamper: Score in [0, 1], shape (N,) float32; 0 where nothing was seen. Of `robust` it is the
-            probability to be tampered, if anything is.
+            probability to be tampered, if anything is; all 0 where next to nothing speaks for that.
         labels: Tampered Gaussians, shape (N,) bool.
         attribute: Raw attribute r, shape (N,) float32; unbounded. Of `robust` the log odds.
         verdict: Probability that anything was tampered with; None of methods that cannot say.
@@ -104,7 +104,8 @@ def locate(
     gaussians = jax.tree.map(jnp.asarray, gaussians)
     chosen = _select(detector, cameras, warnings)
 
-    if isinstance(config, RobustConfig) and config.tolerance > 0:
+    # Masks that are there cost nothing; a network is asked for no more than it takes.
+    if isinstance(config, RobustConfig) and config.tolerance > 0 and detector.needs_image:
         chosen, observation, finding, effort = observe_enough(
             gaussians, chosen, detector, config, stages=stages, progress=progress
         )
@@ -137,7 +138,7 @@ def locate(
         warnings=[
             *warnings,
             *finding.warnings,
-            *_disagreement(flagged, masks),
+            *([] if isinstance(config, RobustConfig) else _disagreement(flagged, masks)),
             *getattr(detector, "warnings", ()),
         ],
     )
@@ -181,7 +182,7 @@ def _disagreement(flagged: dict[str, np.ndarray], masks: dict[str, np.ndarray]) 
         return []
     return [
         f"The detector flags {said:.1%} of what the views show, of which {found:.2%} was "
-        "confirmed: its masks disagree. `robust` asks for less agreement, or a smaller lambda2."
+        "confirmed: its masks disagree. A smaller lambda2, or `robust`, asks for less agreement."
     ]
 
 

@@ -9,6 +9,7 @@ say nothing about it, inverted ones are turned, and what is flagged only from so
 """
 
 import dataclasses
+import math
 import typing
 from collections.abc import Iterator
 
@@ -63,7 +64,7 @@ class RobustConfig:
     certainty: float = 3.0
     smoothing: float = 5.0
     neighbours: int = 8
-    doubt: float = 0.05
+    doubt: float = 0.06
     tolerance: float = 0.02
     threshold: float = 0.5
     mask_rule: MaskRule = "share"
@@ -75,9 +76,18 @@ class RobustConfig:
         if self.mask_rule not in typing.get_args(MaskRule):
             known = ", ".join(typing.get_args(MaskRule))
             raise ValueError(f"mask_rule must be one of {known}, got {self.mask_rule!r}")
-        for name in ("sample", "trust", "pixels", "certainty", "neighbours", "near"):
-            if not getattr(self, name) > 0:
+        if not isinstance(self.classes, tuple) or not self.classes or min(self.classes) < 2:
+            raise ValueError(
+                f"classes must be a tuple of numbers of at least 2, got {self.classes}"
+            )
+        for name in ("restarts", "sample", "neighbours"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+        for name in ("trust", "pixels", "certainty", "near"):
+            if not 0 < getattr(self, name) < math.inf:
                 raise ValueError(f"{name} must be above 0, got {getattr(self, name)}")
+        if not 0 <= self.smoothing < math.inf:
+            raise ValueError(f"smoothing must be 0 or more, got {self.smoothing}")
         for name in ("doubt", "tolerance", "threshold"):
             if not 0 <= getattr(self, name) < 1:
                 raise ValueError(f"{name} must be in [0, 1), got {getattr(self, name)}")
@@ -90,12 +100,14 @@ class Estimate:
     Attributes:
         probability: That a Gaussian is tampered, if anything is, shape (N,) float32; 0 where
             nothing was seen.
+        seen: Gaussians that any view saw, shape (N,) bool.
         roles: What the classes are; None where there is only one.
         classes: How many the data asked for.
         iterations: Of EM, until the likelihood no longer rose, from the start that took longest.
     """
 
     probability: np.ndarray
+    seen: np.ndarray
     roles: Roles | None
     classes: int
     iterations: int
@@ -112,41 +124,47 @@ def find_robust(evidence: Evidence, means: Array, config: RobustConfig) -> Findi
     Returns:
         The finding; its attribute is the log odds of the probability.
     """
+    views = float(np.shape(evidence.total)[0])
     clear = undisputed(evidence)
     if clear:
-        return dataclasses.replace(clear, verdict=verdict(float(clear.labels.any())))
+        return dataclasses.replace(clear, verdict=verdict(float(clear.labels.any()), views))
     found = estimate(evidence, means, config)
-    certain = verdict(found.roles.rate if found.roles else 0.0)
-    tamper = found.probability if certain >= config.doubt else np.zeros_like(found.probability)
-    labels = tamper > config.threshold
-    within = np.clip(tamper, 1e-7, 1 - 1e-7)
+    labels = found.probability > config.threshold
+    # What no Gaussian is found in speaks for nothing, however often it was flagged.
+    certain = verdict(0.0, views)
+    if found.roles and labels.any():
+        certain = verdict(found.roles.rate, found.roles.views)
+    believed = certain >= config.doubt
+    tamper, labels = found.probability * believed, labels & believed
+    within = np.clip(found.probability.astype(np.float64), 1e-9, 1 - 1e-9)
     return Finding(
-        attribute=np.where(tamper > 0, np.log(within / (1 - within)), 0.0).astype(np.float32),
+        attribute=np.where(found.seen, np.log(within / (1 - within)), 0.0).astype(np.float32),
         tamper=tamper,
         labels=labels,
         group_sizes=np.zeros((0, 3), np.int32),
         verdict=certain,
-        reliability=_reliability(found.roles),
-        warnings=_doubts(found.roles, labels),
+        reliability=_reliability(found.roles) if labels.any() else (),
+        warnings=_doubts(found.roles, labels, certain),
     )
 
 
 def _reliability(roles: Roles | None) -> tuple[Reliability, ...]:
     if roles is None:
         return ()
-    return tuple(
-        "inverted" if turned else "finds" if finds else "misses"
-        for turned, finds in zip(roles.inverted, roles.finds, strict=True)
-    )
+    told = np.where(roles.finds, "finds", "misses")
+    told = np.where(roles.sees, told, "unseen")
+    return tuple(np.where(roles.inverted, "inverted", told).tolist())
 
 
-def _doubts(roles: Roles | None, labels: np.ndarray) -> list[str]:
+def _doubts(roles: Roles | None, labels: np.ndarray, certain: float) -> list[str]:
     """What a user should know before believing the labels."""
-    if roles is None or not labels.any():
-        often = f" None was flagged in more than {roles.rate:.0%} of them." if roles else ""
-        return [DISAGREE + often]
+    if roles is None:
+        return [DISAGREE]
     warnings = []
-    if verdict(roles.rate) < 0.5:
+    if not labels.any():
+        often = f" None was flagged in more than {roles.rate:.0%} of those that see it."
+        warnings.append(DISAGREE + often)
+    elif certain < 0.5:
         warnings.append(
             f"What is labelled was flagged in {roles.rate:.0%} of the views that see it, as often "
             "happens to authentic things: perhaps nothing was tampered with."
@@ -175,10 +193,11 @@ def estimate(evidence: Evidence, means: Array, config: RobustConfig) -> Estimate
     seen = looks > 0
     nothing = np.zeros(len(seen), np.float32)
     if not seen.any():
-        return Estimate(probability=nothing, roles=None, classes=0, iterations=0)
+        return Estimate(probability=nothing, seen=seen, roles=None, classes=0, iterations=0)
     roles, fit = _classify(evidence, _sample(looks, flags, config.sample), config)
     found = Estimate(
         probability=nothing,
+        seen=seen,
         roles=roles,
         classes=int(np.sum(np.asarray(fit.classes.shares) > 0)),
         iterations=int(np.max(fit.iterations)),
@@ -187,6 +206,7 @@ def estimate(evidence: Evidence, means: Array, config: RobustConfig) -> Estimate
         return found
     belief = smoothed(
         -config.certainty * disagreement(evidence, roles, config.trust),
+        roles.tampered,
         means,
         seen,
         strength=config.smoothing,
@@ -268,6 +288,7 @@ def _sample(looks: np.ndarray, flags: np.ndarray, size: int) -> tuple[np.ndarray
     Sampled at equal distances along the Gaussians in the order of how often they are flagged: no
     chance is involved, and their order in the file does not matter.
     """
+    size = min(size, int(np.count_nonzero(looks)))
     share = flags / np.maximum(looks, 1e-30)
     visible = np.minimum(looks, 1.0)
     suspicious = visible * share

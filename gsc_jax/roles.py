@@ -1,11 +1,11 @@
 """What latent classes are: the authentic one, the tampered ones, and rivals that look like them.
 
-Only rates are compared here, class by class and view by view, as patterns of what is flagged where.
-The class of most weight is authentic, those like it counted with it, and a view that flags it is
-inverted. The tampered class is
-the one that is flagged in most of the views that see it. What is flagged in clearly fewer, and in
-other views, is a rival: something authentic that the detector takes for tampered from some sides.
-A rival has to be sharp, flagged or not, or the ragged edge of the tampered class would be one.
+Only rates are compared here, class by class and view by view, as patterns of what is flagged
+where. The classes of most weight, of those alike, are authentic, and a view that flags them is
+inverted. The tampered class is the one that is flagged in most of the views that see it. What is
+flagged in clearly fewer, and in other views, is a rival: something authentic that the detector
+takes for tampered from some sides. A rival has to be sharp, flagged or not, or the ragged edge of
+what is tampered would be one.
 """
 
 import dataclasses
@@ -15,6 +15,8 @@ import numpy as np
 
 SEEN = 0.2
 """Share of the weight in its best view from which on a class counts as wholly seen."""
+GLIMPSE = 0.2
+"""How wholly a class has to be seen for its own rate to count as its pattern."""
 DIFFERENT = 0.6
 """Difference of two rates from which on a view tells two classes apart."""
 ALIKE = 1.5
@@ -30,6 +32,8 @@ SECOND = 0.8
 EVEN, STEEP = 0.55, 12.0
 """The rate that speaks for an edit as much as against one, and log odds per unit of rate: a
 logistic regression on edited and untouched scenes of seeds that no table uses."""
+UNDECIDED = 2.0
+"""Views of that rate that are imagined beside those looked at: few views decide nothing."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -40,6 +44,7 @@ class Roles:
         inverted: Views whose mask is to be read the other way round, shape (V,) bool.
         patterns: Whether a class is flagged in a view, inverted views turned, shape (C, V) bool.
         tampered: Which of the C classes are tampered, shape (C,) bool.
+        sees: Views that show the first tampered class, shape (V,) bool.
         rate: Share of the views that see the first tampered class in which it is flagged.
         views: How many views see it.
         sharpness: How sharply its rates say flagged or not, 0 to 1.
@@ -48,6 +53,7 @@ class Roles:
     inverted: np.ndarray
     patterns: np.ndarray
     tampered: np.ndarray
+    sees: np.ndarray
     rate: float
     views: float
     sharpness: float
@@ -58,17 +64,19 @@ class Roles:
         return self.patterns[np.argmax(self.tampered)]
 
 
-def verdict(rate: float) -> float:
+def verdict(rate: float, views: float) -> float:
     """Probability that a scene was tampered with at all.
 
     Something authentic may be flagged, too, but from fewer sides.
 
     Args:
         rate: Share of the views that flag what is called tampered, of those that see it.
+        views: How many see it.
 
     Returns:
-        In (0, 1); one half at a rate of 0.55.
+        In (0, 1); one half at a rate of 0.55, and near it where few views speak.
     """
+    rate = (rate * views + EVEN * UNDECIDED) / (views + UNDECIDED)
     return float(1 / (1 + np.exp(-STEEP * (rate - EVEN))))
 
 
@@ -88,8 +96,10 @@ def assign_roles(
     """
     mass = weights.sum(axis=1)
     seen = np.minimum(1.0, weights / np.maximum(SEEN * weights.max(axis=1, keepdims=True), 1e-30))
-    authentic = _Table(rates=rates, seen=seen).heaviest(mass)
-    inverted = inversion & (rates[authentic] > 0.5) & (seen[authentic] == 1)
+    alike = _Table(rates=rates, seen=seen).heaviest(mass)
+    authentic = _most(mass, alike)
+    shown, flagged = (x[alike].sum(axis=0) for x in (weights, weights * rates))
+    inverted = inversion & (flagged > 0.5 * shown) & (shown >= SEEN * shown.max())
     table = _Table(rates=np.where(inverted, 1 - rates, rates), seen=seen)
     others = mass > NEGLIGIBLE * mass.sum()
     others[authentic] = False
@@ -110,6 +120,7 @@ def assign_roles(
         inverted=inverted,
         patterns=np.stack(patterns),
         tampered=(np.arange(len(patterns)) > 0) & (np.arange(len(patterns)) < 2 + len(second)),
+        sees=seen[first] > 0.5,
         rate=float(np.average(table.rates[first] > 0.5, weights=seen[first])),
         views=float(seen[first].sum()),
         sharpness=float(table.sharpness[first]),
@@ -143,16 +154,16 @@ class _Table:
         differ = np.abs(self.rates - self.rates[other]) > DIFFERENT
         return (np.minimum(self.seen, self.seen[other]) * differ).sum(axis=1)
 
-    def heaviest(self, mass: np.ndarray) -> int:
-        """The largest of the classes that are flagged alike and together have most weight."""
+    def heaviest(self, mass: np.ndarray) -> np.ndarray:
+        """The classes that are flagged alike and together have most weight, shape (K,) bool."""
         flagged = self.rates > 0.5
         unlike = [
             (np.minimum(self.seen, seen) * (flagged != pattern)).sum(axis=1)
             for seen, pattern in zip(self.seen, flagged, strict=True)
         ]
         alike = np.array(unlike) < ALIKE
-        return _most(mass, alike[np.argmax(alike @ mass)])
+        return alike[np.argmax(alike @ mass)]
 
     def patterns(self, classes: Sequence[int] | np.ndarray, *, otherwise: int) -> np.ndarray:
         """Where classes are flagged; what does not see them says what it says of another one."""
-        return np.where(self.seen > SEEN, self.rates, self.rates[otherwise])[list(classes)] > 0.5
+        return np.where(self.seen > GLIMPSE, self.rates, self.rates[otherwise])[list(classes)] > 0.5

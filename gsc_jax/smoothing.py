@@ -1,8 +1,9 @@
 """Neighbouring Gaussians are mostly of one kind: mean-field smoothing over the nearest neighbours.
 
 Each Gaussian's class is drawn towards the mean of its neighbours' (a Potts model, solved by the
-mean field; Kraehenbuehl and Koltun 2011 do the same for pixels). What views have told apart by
-more than the neighbours can weigh stays as it is, so only the doubtful ones are looked at.
+mean field; Kraehenbuehl and Koltun 2011 do the same for pixels). Of which kind a
+Gaussian is may be told by the views more clearly than neighbours can weigh: those stay as they are,
+and only the doubtful ones are looked at.
 """
 
 import numpy as np
@@ -16,12 +17,19 @@ MARGIN = 3.0
 
 
 def smoothed(
-    logits: np.ndarray, means: Array, seen: np.ndarray, *, strength: float, neighbours: int
+    logits: np.ndarray,
+    kinds: np.ndarray,
+    means: Array,
+    seen: np.ndarray,
+    *,
+    strength: float,
+    neighbours: int,
 ) -> np.ndarray:
     """Class probabilities of Gaussians that look at their neighbours.
 
     Args:
         logits: Unnormalised log probability of each class, shape (N, C).
+        kinds: Which of the classes are of one kind, the others being of the other, shape (C,) bool.
         means: Centres, world units of any scale, shape (N, 3).
         seen: Gaussians that any view has seen; only they speak, shape (N,) bool.
         strength: Log odds that neighbours of one mind add.
@@ -33,10 +41,10 @@ def smoothed(
     probability = softmax(logits)
     means = np.asarray(means)
     speaking = np.flatnonzero(seen & np.isfinite(means).all(axis=1))
-    if logits.shape[1] < 2 or strength == 0 or len(speaking) <= neighbours:
+    if kinds.all() or not kinds.any() or strength == 0 or len(speaking) <= neighbours:
         return probability
-    second, first = np.partition(logits[speaking], (-2, -1), axis=1)[:, -2:].T
-    doubtful = np.flatnonzero(first - second < strength + MARGIN)
+    one, other = (logits[:, kind].max(axis=1)[speaking] for kind in (kinds, ~kinds))
+    doubtful = np.flatnonzero(np.abs(one - other) < strength + MARGIN)
     asked = speaking[nearest(means[speaking], doubtful, neighbours)]
     those = speaking[doubtful]
     own = logits[those]

@@ -225,6 +225,7 @@ def test_result_json_says_what_was_done(case, found):
         "preset": None,
         "spec": None,
         "method": "robust",
+        "all_views": False,
         "mask_rule": None,
         "lambda2": None,
         "epochs": None,

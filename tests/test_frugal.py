@@ -32,6 +32,36 @@ CAMERAS = cameras()
 MASKS = {c.name: rendered_share(SCENE, c, TRUTH) for c in CAMERAS}
 
 
+class Network:
+    """A detector that has to be shown the images."""
+
+    needs_image = True
+
+    def __init__(self, first: int = 0):
+        self.first = first
+
+    def select(self, cameras):
+        return list(cameras)
+
+    def __call__(self, image, camera):
+        """The truth, in the views that are looked at after the first ones."""
+        del image
+        late = LATER.index(camera.name) >= self.first
+        return MASKS[camera.name] if late else np.zeros_like(MASKS[camera.name])
+
+
+LATER = [f"view_{k}" for k in spread(VIEWS)]
+
+
+def test_masks_that_are_there_are_all_used():
+    assert len(locate(SCENE, CAMERAS, MASKS).detections) == VIEWS
+
+
+def test_views_are_added_until_something_is_found():
+    result = locate(SCENE, CAMERAS, Network(first=18))
+    assert len(result.detections) == VIEWS, "it stopped before anything could be found"
+
+
 @given(st.integers(1, 300))
 def test_every_view_comes_once_and_early_ones_lie_far_apart(count):
     order = spread(count)
@@ -50,7 +80,7 @@ def test_batches_grow_and_end_with_all(count):
 
 
 def test_views_are_added_until_the_labels_stay():
-    result = locate(SCENE, CAMERAS, MASKS)
+    result = locate(SCENE, CAMERAS, Network())
     assert result.effort is not None
     assert result.effort.views < result.effort.available == VIEWS
     assert result.effort.changes[-1] < 0.02
@@ -62,13 +92,13 @@ def test_views_are_added_until_the_labels_stay():
 
 def test_progress_counts_on_over_the_batches():
     told = []
-    locate(SCENE, CAMERAS, MASKS, progress=lambda *args: told.append(args))
+    locate(SCENE, CAMERAS, Network(), progress=lambda *args: told.append(args))
     looked = [(done, total) for stage, done, total in told if stage == "look"]
     assert looked == [(k, VIEWS) for k in range(1, len(looked) + 1)]
 
 
 def test_without_tolerance_every_view_is_looked_at():
-    result = locate(SCENE, CAMERAS, MASKS, config=RobustConfig(tolerance=0.0))
+    result = locate(SCENE, CAMERAS, Network(), config=RobustConfig(tolerance=0.0))
     assert result.effort is None
     assert len(result.detections) == VIEWS
 

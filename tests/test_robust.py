@@ -103,7 +103,7 @@ def test_a_second_edit_that_is_detected_nearly_as_often_is_kept():
 
 def test_the_verdict_rises_with_the_share_of_the_views_that_find_it():
     assert verdict_of(masked(failing("clean"))) > verdict_of(masked(failing("misses"))) > 0.5
-    assert verdict(0.55) == pytest.approx(0.5)
+    assert verdict(0.55, 10) == pytest.approx(0.5)
     decoy = failing("consistent") & (KINDS == DECOY)
     decoy[8:] = False
     untouched = find_robust(masked(decoy), MEANS, CONFIG)
@@ -117,7 +117,7 @@ def test_what_few_views_flag_is_labelled_only_if_that_is_asked_for():
     few = find_robust(masked(flagged), MEANS, CONFIG)
     assert not few.labels.any()
     assert not few.tamper.any()
-    assert any("None was flagged in more than 17% of them" in text for text in few.warnings)
+    assert any("None was flagged in more than 17% of those" in text for text in few.warnings)
     believing = find_robust(masked(flagged), MEANS, dataclasses.replace(CONFIG, doubt=0.0))
     assert np.array_equal(believing.labels, KINDS == DECOY)
 
@@ -134,7 +134,7 @@ def test_a_configuration_without_meaning_is_refused(wrong):
 def test_nothing_flagged_and_everything_flagged_are_defined():
     nothing = find_robust(Evidence(total=TOTAL, tampered=np.zeros_like(TOTAL)), MEANS, CONFIG)
     assert not nothing.labels.any()
-    assert nothing.verdict == verdict(0.0)
+    assert nothing.verdict == verdict(0.0, VIEWS)
     everything = find_robust(Evidence(total=TOTAL, tampered=TOTAL), MEANS, CONFIG)
     assert np.array_equal(everything.labels, TOTAL.sum(0) > 0)
 

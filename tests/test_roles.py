@@ -67,7 +67,22 @@ def test_one_class_has_no_roles():
     assert assign_roles(np.full((2, 3), LOW), np.array([[1.0] * 3, [0.0] * 3])) is None
 
 
-def test_the_verdict_grows_with_the_rate():
-    values = [verdict(rate) for rate in np.linspace(0, 1, 11)]
+def test_the_verdict_grows_with_the_rate_and_few_views_decide_nothing():
+    values = [verdict(rate, 20) for rate in np.linspace(0, 1, 11)]
     assert values == sorted(values)
-    assert 0 < values[0] < 0.01 < 0.99 < values[-1] < 1
+    assert 0 < values[0] < 0.01 < 0.98 < values[-1] < 1
+    assert 0.5 < verdict(1.0, 1) < verdict(1.0, 3) < verdict(1.0, 20)
+    assert 0.5 > verdict(0.0, 1) > verdict(0.0, 3) > verdict(0.0, 20)
+
+
+def test_a_view_that_flags_one_of_several_authentic_classes_is_not_inverted():
+    rates = np.array([[LOW, HIGH], [LOW, LOW], [LOW, LOW], [HIGH, HIGH]])
+    weights = np.array([[30.0, 30], [25, 25], [25, 25], [10, 10]])
+    found = assign_roles(rates, weights)
+    assert found is not None
+    assert not found.inverted.any()
+
+
+def test_views_without_the_tampered_class_are_told():
+    found = roles([LOW] * 3, [HIGH, HIGH, LOW], weights=[[1.0] * 3, [1, 1, 0.01]])
+    assert found.sees.tolist() == [True, True, False]

@@ -8,6 +8,7 @@ from gsc_jax.smoothing import nearest, smoothed, softmax
 
 LINE = np.stack([np.arange(20.0), np.zeros(20), np.zeros(20)], axis=1)
 EVERYBODY = np.ones(20, bool)
+KINDS = np.array([False, True])
 
 
 def logits(doubts: float, odd: int = 10) -> np.ndarray:
@@ -19,16 +20,16 @@ def logits(doubts: float, odd: int = 10) -> np.ndarray:
 
 
 def test_neighbours_persuade_the_doubtful_and_not_the_certain():
-    doubtful = smoothed(logits(1.0), LINE, EVERYBODY, strength=5, neighbours=4)
+    doubtful = smoothed(logits(1.0), KINDS, LINE, EVERYBODY, strength=5, neighbours=4)
     assert doubtful[10, 0] > 0.9
-    certain = smoothed(logits(9.0), LINE, EVERYBODY, strength=5, neighbours=4)
+    certain = smoothed(logits(9.0), KINDS, LINE, EVERYBODY, strength=5, neighbours=4)
     assert certain[10, 1] > 0.9
 
 
 def test_without_strength_nobody_is_asked():
     values = logits(1.0)
     assert np.array_equal(
-        smoothed(values, LINE, EVERYBODY, strength=0, neighbours=4), softmax(values)
+        smoothed(values, KINDS, LINE, EVERYBODY, strength=0, neighbours=4), softmax(values)
     )
 
 
@@ -37,7 +38,7 @@ def test_the_unseen_have_no_opinion():
     seen[[8, 9, 11, 12]] = False
     values = logits(1.0)
     values[[8, 9, 11, 12]] = [0, 50]
-    assert smoothed(values, LINE, seen, strength=5, neighbours=4)[10, 0] > 0.9
+    assert smoothed(values, KINDS, LINE, seen, strength=5, neighbours=4)[10, 0] > 0.9
 
 
 @given(st.integers(0, 1000), st.sampled_from([1e-6, 1.0, 1e6]))
@@ -53,4 +54,4 @@ def test_neighbours_are_the_nearest_others(seed, scale):
 def test_gaussians_in_one_place_have_each_other():
     found = nearest(np.zeros((12, 3)), np.arange(12), 4)
     assert found.shape == (12, 4)
-    assert all(k not in row or len(set(row)) == 4 for k, row in enumerate(found))
+    assert all(k not in row and len(set(row)) == 4 for k, row in enumerate(found))

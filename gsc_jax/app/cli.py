@@ -29,6 +29,13 @@ from gsc_jax.locate import Result
 
 Command = Locate | Render | Tamper | Demo
 
+MASKS: dict[Reliability, str] = {
+    "finds": "finding it",
+    "misses": "missing it",
+    "inverted": "inverted",
+    "unseen": "of views without it",
+}
+"""What a mask is worth, in the words of the summary."""
 DESCRIPTION = """\
 Finds the tampered Gaussians in a 3D Gaussian Splatting model, from what a 2D detector says about
 its views (GS-Checker, in JAX, on the CPU). Start with: gsc-jax demo --out demo
@@ -123,6 +130,8 @@ def summary(located: Located, out: Path) -> list[str]:
         if found
         else f"No tampered Gaussian was found: none of {len(labels):,}, in {views} views."
     )
+    if found and located.result.verdict is not None and located.result.verdict < 0.5:
+        verdict = f"Probably nothing was tampered with. If something was: {verdict}"
     return [
         verdict,
         *_judgement(located.result),
@@ -134,22 +143,17 @@ def summary(located: Located, out: Path) -> list[str]:
     ]
 
 
-MASKS: dict[Reliability, str] = {
-    "finds": "find it",
-    "misses": "miss it",
-    "inverted": "are inverted",
-}
-
-
 def _judgement(result: Result) -> list[str]:
     """Whether anything was tampered with at all, and what the masks are worth, if that is known."""
     lines = []
     if result.verdict is not None:
-        lines.append(f"verdict  {result.verdict:.0%} that anything was tampered with")
+        percent = f"{min(max(result.verdict, 0.01), 0.99):.0%}"
+        bound = "<" if result.verdict < 0.01 else ">" if result.verdict > 0.99 else ""
+        lines.append(f"verdict  {bound}{percent}: probability that anything was tampered with")
     counts = Counter(result.reliability.values())
     if counts:
-        said = ", ".join(f"{counts[key]} {text}" for key, text in MASKS.items() if counts[key])
-        lines.append(f"masks    {said}")
+        said = ", ".join(f"{text} {counts[key]}" for key, text in MASKS.items() if counts[key])
+        lines.append(f"masks    {said}, of {counts.total()}")
     if result.effort and result.effort.views < result.effort.available:
         effort = result.effort
         lines.append(f"looked   at {effort.views} of {effort.available} views: {effort.reason}")

@@ -74,9 +74,12 @@ class Locate(Look):
         method: `robust`: asks what the mask of each view is worth. GS-Checker believes all views
             alike: `official` is the schedule of its released code, `paper` its equations as
             printed, over several epochs.
-        lambda2: Of GS-Checker: price of a Gaussian's weight outside the masks; at 10 it has to lie
-            inside them by 91 %, at 1 by half. Smaller finds more where masks miss or disagree.
-        epochs: Of GS-Checker: how often the optimisation looks at each view.
+        all_views: Look from all cameras; otherwise `robust` stops when further views no longer
+            change the labels, unless --views says how many it shall be.
+        lambda2: Of official and paper: price of a Gaussian's weight outside the masks; at 10 it has
+            to lie inside them by 91 %, at 1 by half. Smaller finds more where masks miss or
+            disagree.
+        epochs: Of official and paper: how often the optimisation looks at each view.
         threshold: Above which a Gaussian is tampered: of `robust` a probability, of GS-Checker a
             score relative to the highest.
         mask_rule: What makes a pixel tampered: that tampered Gaussians have the larger share in it,
@@ -86,7 +89,8 @@ class Locate(Look):
             orbit, this many are made, by default 24.
         scale: Size of the views relative to the cameras' images; 0.5 has a quarter of the pixels.
         near: Near plane in world units: what is closer to a camera is not seen.
-        seed: What chance follows: the order of the views, and where an orbit begins.
+        seed: What chance follows: where the estimator starts, the order of the views, and where an
+            orbit begins.
         no_cache: Do not keep what XLA compiles in the cache folder of this user, where the next run
             finds it.
     """
@@ -98,6 +102,7 @@ class Locate(Look):
     ] = None
     spec: Annotated[Path | None, _arg(metavar="FILE.toml", help_behavior_hint="")] = None
     method: Method = "robust"
+    all_views: bool = False
     lambda2: Annotated[float | None, _arg(metavar="PRICE", help_behavior_hint="(default: 10)")] = (
         None
     )

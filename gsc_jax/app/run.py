@@ -147,10 +147,11 @@ def _config(options: Locate) -> Config:
     for flag, value in (("lambda2", options.lambda2), ("epochs", options.epochs)):
         if value is not None:
             raise InputError(
-                f"--{flag} {value:g}: is of GS-Checker, not of {options.method}; give --method "
-                "official or --method paper with it"
+                f"--{flag} {value:g}: only applies to --method official or paper, expected one of "
+                f"them, found {options.method}"
             )
-    return dataclasses.replace(method, **common)
+    tolerance = 0.0 if options.all_views or options.views else method.tolerance
+    return dataclasses.replace(method, tolerance=tolerance, **common)
 
 
 def _schedule(options: Locate, method: MethodConfig) -> MethodConfig:

@@ -18,6 +18,8 @@ ROOT = Path(__file__).resolve().parents[1]
 SCRIPTS = (
     "ablation",
     "authentic",
+    "beyond",
+    "calibration",
     "backbones",
     "editing",
     "parsimony",
@@ -151,6 +153,27 @@ def test_every_script_runs_in_quick_mode(name, tmp_path):
     assert f"<!-- {name} -->" in (tmp_path / "results.md").read_text()
     assert (tmp_path / f"{name}.png").stat().st_size > 5_000
     assert len((tmp_path / f"{name}.csv").read_text().splitlines()) > 1
+
+
+def test_some_methods_are_measured_beside_the_rows_of_the_others(tmp_path):
+    runner, tables = module("runner"), module("tables")
+    key = {"scene": "room", "edit": "removal", "seed": 0, "regime": "clean"}
+
+    def row(name: str, f1: float) -> dict:
+        return {**key, "method": name, "f1": f1}
+
+    before = [row(runner.TRUTH, 1.0), row("a", 0.1), row("b", 0.2)]
+    tables.write_csv(tmp_path / "x.csv", before)
+    args = runner.ChosenArgs(out=tmp_path, methods=("b", "c"))
+    new = [row(runner.TRUTH, 1.0), row("b", 0.3), row("c", 0.4)]
+    rows = runner.measured(args, "x", [new])
+    assert (
+        rows == [*before[:2], row("b", 0.3), row("c", 0.4)] == tables.read_csv(tmp_path / "x.csv")
+    )
+    with pytest.raises(InputError, match="other cases"):
+        runner.measured(args, "x", [[{**row("b", 0.3), "seed": 1}]])
+    with pytest.raises(InputError, match="expected some of a, b"):
+        args.among({"a": None, "b": None})
 
 
 def test_rows_are_read_back_as_they_were(tmp_path):

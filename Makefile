@@ -34,7 +34,7 @@ bench: $(VENV)/installed
 	$(BIN)/python benchmarks/page.py
 
 results: $(VENV)/installed
-	for name in editing beyond calibration ablation robustness authentic parsimony stability speed_accuracy real_scenes; do \
+	for name in editing beyond calibration enough ablation robustness authentic parsimony stability speed_accuracy real_scenes; do \
 	  $(BIN)/python experiments/$$name.py || exit 1; done
 	$(BIN)/python experiments/backbones.py --seeds 1
 

@@ -158,6 +158,17 @@ def _edited(scene: Scene, edit: Edit, pasted: Gaussians | None, seed: int) -> Ta
     raise AssertionError("unreachable")
 
 
+def seen_from(case: Case, cameras: list[Camera]) -> Case:
+    """The case looked at from other cameras."""
+    decoy = decoy_labels(case.gaussians, case.labels, seed=case.seed)
+    return dataclasses.replace(
+        case,
+        scene=dataclasses.replace(case.scene, cameras=cameras),
+        truth=_masks(case.gaussians, cameras, case.labels),
+        decoy=_masks(case.gaussians, cameras, decoy),
+    )
+
+
 def untouched(imagined: Case) -> Case:
     """The scene of a case as it was; what was edited there is now what looks suspicious."""
     return dataclasses.replace(

@@ -22,6 +22,7 @@ SCRIPTS = (
     "calibration",
     "backbones",
     "editing",
+    "enough",
     "parsimony",
     "robustness",
     "speed_accuracy",

@@ -19,13 +19,15 @@ import numpy as np
 from cases import Case, detector_masks, untouched
 from looks import Method, look
 from matplotlib import pyplot as plt
-from methods import ALL_METHODS
+from methods import ALL_METHODS, if_called_tampered
 from runner import ITSELF, TRUTH, ChosenArgs, judge, measured, start
 from tables import Row, mean, pivot, values_of, where, write_section
 
 from gsc_jax.benchmark.simulate import REGIMES
 
 FAILURES = {name: REGIMES[name] for name in ("blobs", "consistent", "inverted", "mixture")}
+CALLED = "robust, if called tampered"
+"""Where its verdict is that nothing was tampered with, nothing is flagged."""
 ALARM = 0.5
 """Percent of the held-out pixels above which a scene counts as a false alarm."""
 
@@ -77,7 +79,7 @@ def chart(rows: list[Row], path: Path) -> None:
 def main(args: ChosenArgs) -> None:
     """Judge every untouched scene; print and write the tables and the chart."""
     cases = args.cases(edits=("modification",))
-    methods = args.among(ALL_METHODS)
+    methods = args.among({**ALL_METHODS, CALLED: if_called_tampered})
     per_case = (rows_of(untouched(imagined), methods) for imagined in cases)
     rows = measured(args, "authentic", per_case)
     text = report(rows)

@@ -44,6 +44,13 @@ def checker(config: Config, *, own_rule: bool = False) -> Method:
     return method
 
 
+def if_called_tampered(look: Look) -> Answer:
+    """`robust`, whose labels are believed only if its verdict is that something was tampered with."""
+    case, config = look.case, RobustConfig(seed=look.case.seed)
+    found = find(case.gaussians, case.scene.cameras, look.observation, config)
+    return labelled(found.labels & (found.verdict is not None and found.verdict > 0.5))
+
+
 def without_3d(config: MethodConfig) -> MethodConfig:
     """The configuration with no 3D contrastive loss."""
     return dataclasses.replace(config, loop=dataclasses.replace(config.loop, gamma=0.0))

@@ -45,7 +45,7 @@ def checker(config: Config, *, own_rule: bool = False) -> Method:
 
 
 def if_called_tampered(look: Look) -> Answer:
-    """`robust`, whose labels are believed only if its verdict is that something was tampered with."""
+    """`robust`, believed only where its verdict is that something was tampered with."""
     case, config = look.case, RobustConfig(seed=look.case.seed)
     found = find(case.gaussians, case.scene.cameras, look.observation, config)
     return labelled(found.labels & (found.verdict is not None and found.verdict > 0.5))

@@ -30,7 +30,7 @@ BLOCK = 2**15
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class RobustConfig:
-    """What the estimator leaves to choose; the defaults were tuned on seeds no table uses.
+    """What the estimator leaves to choose; tuned on other seeds than the tables (docs/results.md).
 
     Attributes:
         name: What the method is called in results.

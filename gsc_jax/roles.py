@@ -47,7 +47,6 @@ class Roles:
         sees: Views that show the first tampered class, shape (V,) bool.
         rate: Share of the views that see the first tampered class in which it is flagged.
         views: How many views see it.
-        sharpness: How sharply its rates say flagged or not, 0 to 1.
     """
 
     inverted: np.ndarray
@@ -56,7 +55,6 @@ class Roles:
     sees: np.ndarray
     rate: float
     views: float
-    sharpness: float
 
     @property
     def finds(self) -> np.ndarray:
@@ -123,7 +121,6 @@ def assign_roles(
         sees=seen[first] > 0.5,
         rate=float(np.average(table.rates[first] > 0.5, weights=seen[first])),
         views=float(seen[first].sum()),
-        sharpness=float(table.sharpness[first]),
     )
 
 

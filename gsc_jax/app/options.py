@@ -74,8 +74,8 @@ class Locate(Look):
         method: `robust`: asks what the mask of each view is worth. GS-Checker believes all views
             alike: `official` is the schedule of its released code, `paper` its equations as
             printed, over several epochs.
-        all_views: Look from all cameras; otherwise `robust` stops when further views no longer
-            change the labels, unless --views says how many it shall be.
+        all_views: Show a --detector the views of all cameras; otherwise `robust` stops when further
+            ones no longer change the labels, unless --views says how many it shall be.
         lambda2: Of official and paper: price of a Gaussian's weight outside the masks; at 10 it has
             to lie inside them by 91 %, at 1 by half. Smaller finds more where masks miss or
             disagree.

@@ -20,10 +20,12 @@ from onnx import TensorProto, helper, numpy_helper
 from plyfile import PlyData, PlyElement
 
 from gsc_jax.app import cli, options, outputs
+from gsc_jax.app import run as app_run
 from gsc_jax.app.pictures import overlay
 from gsc_jax.app.progress import Bars
 from gsc_jax.benchmark.metrics import f1_score, truth_mask
 from gsc_jax.benchmark.simulate import REGIMES
+from gsc_jax.detectors.onnx import OnnxDetector
 from gsc_jax.io.cameras import load_cameras, save_cameras
 from gsc_jax.io.layout import encode
 from gsc_jax.io.masks import image_path, read_probability, write_mask
@@ -118,6 +120,13 @@ def given(case: Path, **changes: object) -> list[object]:
 def found(case, tmp_path_factory) -> tuple[Path, Run]:
     out = tmp_path_factory.mktemp("found") / "new" / "out"
     return out, run(*given(case), "--out", out)
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path, monkeypatch) -> Path:
+    """What networks said in earlier tests, and in earlier runs of this one, is not known."""
+    monkeypatch.setattr(app_run, "default_cache", lambda: tmp_path / "cache")
+    return tmp_path / "cache"
 
 
 def report(out: Path) -> dict:
@@ -224,6 +233,8 @@ def test_result_json_says_what_was_done(case, found):
         "detector": None,
         "preset": None,
         "spec": None,
+        "provider": None,
+        "threads": None,
         "method": "robust",
         "all_views": False,
         "mask_rule": None,
@@ -414,6 +425,69 @@ def test_a_spec_says_how_to_feed_the_network(case, tmp_path):
     assert "one of them" in refused(*argv, "--preset", "trufor", "--out", tmp_path / "no")
 
 
+def test_the_spec_beside_a_model_is_taken_and_named(case, tmp_path):
+    model = network(tmp_path / "red.onnx")
+    beside, other = tmp_path / "red.toml", tmp_path / "other.toml"
+    beside.write_text('chanels = "bgr"\n')
+    argv = given(case, masks=None, detector=model, method="official")
+    message = refused(*argv, "--out", tmp_path / "no")
+    assert f"{beside}: detector spec: unknown field 'chanels' (did you mean 'channels'?)" in message
+    beside.write_text('channels = "bgr"\n')
+    assert run(*argv, "--out", tmp_path / "out").code == 0
+    assert report(tmp_path / "out")["command"]["spec"] == str(beside)
+    truth = np.load(case / "truth.npy")
+    assert f1_score(np.load(tmp_path / "out" / "labels.npy"), truth) < 0.5, "colours not swapped"
+    other.write_text("")
+    assert run(*argv, "--spec", other, "--out", tmp_path / "out").code == 0
+    assert report(tmp_path / "out")["command"]["spec"] == str(other)
+    assert f1_score(np.load(tmp_path / "out" / "labels.npy"), truth) > 0.8
+    # A preset is asked for; what lies beside the model is not.
+    beside.write_text("size = 0\n")
+    assert run(*argv, "--preset", "pscc-net", "--out", tmp_path / "out").code == 0
+    assert report(tmp_path / "out")["command"]["spec"] is None
+
+
+def test_a_second_run_asks_no_network(case, tmp_path, monkeypatch, own_cache):
+    asked = []
+    judged = OnnxDetector.__call__
+
+    def counting(self, image, camera):
+        asked.append(camera.name)
+        return judged(self, image, camera)
+
+    monkeypatch.setattr(OnnxDetector, "__call__", counting)
+    argv = given(case, masks=None, detector=network(tmp_path / "red.onnx"))
+    assert run(*argv, "--no-cache", "--out", tmp_path / "never").code == 0
+    assert not own_cache.exists()
+    assert run(*argv, "--out", tmp_path / "first").code == 0
+    assert len(asked) == 2 * len(NAMES)
+    assert run(*argv, "--out", tmp_path / "again", "--threads", 1).code == 0
+    assert run(*argv, "--out", tmp_path / "lifted", "--method", "official").code == 0
+    assert len(asked) == 2 * len(NAMES), "a network was run again"
+    for name in ("first", "again"):
+        for file in ("tamper.npy", "labels.npy"):
+            np.testing.assert_array_equal(
+                np.load(tmp_path / name / file), np.load(tmp_path / "never" / file)
+            )
+    assert run(*argv, "--out", tmp_path / "smaller", "--scale", 0.5).code == 0
+    assert len(asked) == 3 * len(NAMES), "another image, the same output"
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"provider": "abacus"}, ("no provider 'abacus'", "one of", "cpu")),
+        ({"threads": -1}, ("-1 threads",)),
+        ({"threads": "all"}, ("--threads", "all")),
+    ],
+)
+def test_providers_and_threads_that_are_none(case, tmp_path, changes, expected):
+    model = network(tmp_path / "red.onnx")
+    argv = given(case, masks=None, detector=model, **changes)
+    message = refused(*argv, "--out", tmp_path / "out")
+    assert all(part in message for part in expected)
+
+
 def test_a_network_of_the_wrong_shape(case, tmp_path):
     model = network(tmp_path / "wide.onnx", channels=6)
     message = refused(*given(case, masks=None, detector=model), "--out", tmp_path / "out")
@@ -557,6 +631,8 @@ def test_a_detector_that_is_none(case, tmp_path, changes, expected):
         ({"near": -1}, ("--near -1",)),
         ({"seed": -1}, ("--seed -1",)),
         ({"preset": "trufor"}, ("--preset", "--detector")),
+        ({"provider": "cuda"}, ("--provider", "--detector")),
+        ({"threads": 2}, ("--threads", "--detector")),
         ({"vews": 3}, ("--vews", "--views")),
     ],
 )
@@ -688,6 +764,23 @@ def test_bars_show_every_stage_on_a_terminal_only():
         assert ("look" in stream.getvalue()) == drawn
         assert ("masks" in stream.getvalue()) == drawn
         assert ("2/2" in stream.getvalue()) == drawn
+
+
+def test_bars_tell_the_rate_of_the_views_and_what_is_left(monkeypatch):
+    """What was done when the bar began, at a time that it does not know, does not count."""
+    now = [1000.0]
+    monkeypatch.setattr("tqdm.std.time", lambda: now[0])
+    stream = Terminal()
+    monkeypatch.setenv("COLUMNS", "100")
+    with Bars(stream) as bars:
+        for done in range(1, 5):
+            bars("look", done, 10)
+            now[0] += 8.0
+        bars("look", 10, 10)
+        now[0] += 100.0
+    assert "10/10 [00:32<00:00" in stream.getvalue().split("\r")[-1]
+    last = next(line for line in stream.getvalue().split("\r") if "4/10" in line)
+    assert "[00:24<00:48,  8.00s/view]" in last
 
 
 def test_overlay_marks_the_mask_and_nothing_far_from_it():

@@ -70,7 +70,11 @@ class Locate(Look):
         masks: Folder with a mask per camera: CAMERA.png.
         detector: A 2D detector instead: an ONNX model, which is shown the rendered views.
         preset: How to feed and read the model: iml-vit, trufor, mvss-net or pscc-net.
-        spec: The same as a TOML file with the fields of `OnnxSpec`, for other models.
+        spec: The same as a TOML file with the fields of `OnnxSpec`, for other models. A MODEL.toml
+            beside MODEL.onnx need not be named, unless there is a --preset.
+        provider: What the model runs on, an execution provider of onnxruntime, such as cuda; the
+            CPU does what it cannot.
+        threads: Threads of the model on the CPU.
         method: `robust`: asks what the mask of each view is worth. GS-Checker believes all views
             alike: `official` is the schedule of its released code, `paper` its equations as
             printed, over several epochs.
@@ -91,8 +95,8 @@ class Locate(Look):
         near: Near plane in world units: what is closer to a camera is not seen.
         seed: What chance follows: where the estimator starts, the order of the views, and where an
             orbit begins.
-        no_cache: Do not keep what XLA compiles in the cache folder of this user, where the next run
-            finds it.
+        no_cache: Do not keep what XLA compiles and what the model says of each view in the cache
+            folder of this user, where the next run finds them, and do not look for them there.
     """
 
     masks: Annotated[Path | None, _arg(metavar="DIR", help_behavior_hint="")] = None
@@ -100,7 +104,15 @@ class Locate(Look):
     preset: Annotated[
         str | None, _arg(metavar="NAME", help_behavior_hint="(default: RGB in [0, 1])")
     ] = None
-    spec: Annotated[Path | None, _arg(metavar="FILE.toml", help_behavior_hint="")] = None
+    spec: Annotated[
+        Path | None, _arg(metavar="FILE.toml", help_behavior_hint="(default: beside the model)")
+    ] = None
+    provider: Annotated[str | None, _arg(metavar="NAME", help_behavior_hint="(default: cpu)")] = (
+        None
+    )
+    threads: Annotated[int | None, _arg(metavar="N", help_behavior_hint="(default: all cores)")] = (
+        None
+    )
     method: Method = "robust"
     all_views: bool = False
     lambda2: Annotated[float | None, _arg(metavar="PRICE", help_behavior_hint="(default: 10)")] = (

@@ -1,10 +1,17 @@
-"""Progress bars: one per stage, on a terminal; silence where nobody watches."""
+"""Progress bars: one per stage, on a terminal; silence where nobody watches.
+
+A bar shows what is done, how long that took, how long the rest will take at this rate, and the
+rate: of "look", the views that a 2D network has judged.
+"""
 
 import sys
 from types import TracebackType
 from typing import TextIO
 
 from tqdm import tqdm
+
+UNITS: dict[str, str] = dict.fromkeys(("look", "masks", "render"), "view")
+"""What is counted, where it is not steps."""
 
 
 class Bars:
@@ -30,10 +37,20 @@ class Bars:
         """
         if self._bar is None or stage != self._stage:
             self.close()
-            # Of None tqdm makes: disabled unless the stream is a terminal.
-            self._bar = tqdm(desc=f"{stage:8}", total=total, file=self._stream, disable=None)
+            # Of None tqdm makes: disabled unless the stream is a terminal. What is done when a
+            # bar begins took no time that it could know of, and says nothing of the rate.
+            self._bar = tqdm(
+                desc=f"{stage:8}",
+                total=total,
+                initial=done,
+                unit=UNITS.get(stage, "it"),
+                file=self._stream,
+                disable=None,
+            )
             self._stage = stage
         self._bar.update(done - self._bar.n)
+        if done >= total:  # what comes before the next stage is not of this one
+            self.close()
 
     def close(self) -> None:
         """End the bar that is being drawn."""

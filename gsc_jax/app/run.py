@@ -7,13 +7,13 @@ what a person should be told; only `gsc_jax.app.cli` prints.
 import contextlib
 import dataclasses
 import math
-import tomllib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import jax
 import numpy as np
 
+from gsc_jax.app.cache import default_cache
 from gsc_jax.app.options import Locate, Look, Render
 from gsc_jax.app.outputs import (
     Located,
@@ -24,12 +24,12 @@ from gsc_jax.app.outputs import (
     write_results,
 )
 from gsc_jax.detection import Detector
+from gsc_jax.detectors.cached import CachedDetector
 from gsc_jax.detectors.folder import FolderDetector
 from gsc_jax.detectors.onnx import OnnxDetector
-from gsc_jax.detectors.onnx_spec import PLAIN, PRESETS, OnnxSpec, preset
+from gsc_jax.detectors.onnx_spec import PLAIN, PRESETS, OnnxSpec, preset, read_spec, spec_beside
 from gsc_jax.errors import InputError
 from gsc_jax.io.cameras import load_cameras, save_cameras
-from gsc_jax.io.files import existing_file
 from gsc_jax.io.masks import image_path, write_image
 from gsc_jax.io.ply import PlyScene, read_ply
 from gsc_jax.locate import locate
@@ -62,7 +62,7 @@ def run_locate(options: Locate, *, progress: Progress = silent) -> Located:
         raise InputError(
             f"{options.out}: holds an edit of `tamper` and its truth; give another --out"
         )
-    config = _config(options)
+    config, options = _config(options), _with_spec(options)
     paths = (options.scene, options.cameras, options.masks, options.detector, options.spec)
     inputs = [path for path in paths if path]
     refuse_overlap(options.out, inputs)
@@ -227,8 +227,9 @@ def _detector(options: Locate) -> Detector:
                 f"--masks {options.masks}: masks belong to cameras, give those with --cameras "
                 "(`gsc-jax render` writes a cameras.json when it makes an orbit)"
             )
-        if options.preset or options.spec:
-            raise InputError("--preset and --spec say how to run a --detector; there is none")
+        for flag in ("preset", "spec", "provider", "threads"):
+            if getattr(options, flag) is not None:
+                raise InputError(f"--{flag} says how to run a --detector; there is none")
         return FolderDetector(options.masks)
     model = Path(options.detector or "")
     if str(model) in PRESETS and not model.exists():
@@ -236,7 +237,12 @@ def _detector(options: Locate) -> Detector:
             f"--detector {model}: is the name of a preset, expected an ONNX model; export the "
             f"network and give --detector MODEL.onnx --preset {model}"
         )
-    return OnnxDetector(model, _spec(options))
+    detector = OnnxDetector(
+        model, _spec(options), providers=[options.provider or "cpu"], threads=options.threads or 0
+    )
+    if options.no_cache:
+        return detector
+    return CachedDetector(detector, default_cache() / "detections", detector.fingerprint)
 
 
 def _spec(options: Locate) -> OnnxSpec:
@@ -244,16 +250,14 @@ def _spec(options: Locate) -> OnnxSpec:
         raise InputError(f"--preset {options.preset} and --spec {options.spec}: give one of them")
     if options.preset:
         return preset(options.preset)
-    if not options.spec:
-        return PLAIN
-    path = existing_file(options.spec, expected="a detector spec (.toml)")
-    with about(path):
-        try:
-            return OnnxSpec.from_table(tomllib.loads(path.read_text(encoding="utf-8")))
-        except ValueError as error:
-            if isinstance(error, InputError):
-                raise
-            raise InputError(f"no TOML ({error}), expected the fields of OnnxSpec") from error
+    return read_spec(options.spec) if options.spec else PLAIN
+
+
+def _with_spec(options: Locate) -> Locate:
+    """The options with the spec that lies beside the model, so that the report names it."""
+    if options.detector is None or options.preset or options.spec:
+        return options
+    return dataclasses.replace(options, spec=spec_beside(options.detector))
 
 
 def check_look(options: Look) -> None:

@@ -8,6 +8,7 @@ An output that is not finite after the activation becomes 0.5, which is not abov
 so says nothing; how many there were is in `OnnxDetector.warnings`.
 """
 
+import functools
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ import numpy as np
 
 from gsc_jax.detectors.fitting import crop_map, fit_image, remap, to_tensor
 from gsc_jax.detectors.onnx_spec import PLAIN, PRESETS, OnnxSpec, preset
+from gsc_jax.detectors.session import CPU, fingerprint, one_line, open_session
 from gsc_jax.errors import InputError
 from gsc_jax.scene import Camera
 
@@ -34,6 +36,7 @@ class OnnxDetector:
         path: The model.
         spec: How it is fed and read.
         needs_image: True.
+        notes: By view, in counts, what is odd about its output; `warnings` sums them up.
     """
 
     needs_image = True
@@ -43,7 +46,7 @@ class OnnxDetector:
         path: str | Path,
         spec: OnnxSpec | str = PLAIN,
         *,
-        providers: Sequence[str] = ("CPUExecutionProvider",),
+        providers: Sequence[str] = CPU,
         threads: int = 0,
     ):
         """Loads a model and checks it against the spec.
@@ -51,7 +54,8 @@ class OnnxDetector:
         Args:
             path: The .onnx file.
             spec: How to feed and read it, or the name of one of `PRESETS`.
-            providers: onnxruntime's execution providers, the preferred one first.
+            providers: onnxruntime's execution providers, the preferred one first, by their names
+                or as people say them ("cuda").
             threads: Threads of one inference, 0 for all the cores.
 
         Raises:
@@ -59,12 +63,11 @@ class OnnxDetector:
         """
         self.path = Path(path)
         self.spec = preset(spec) if isinstance(spec, str) else spec
-        self._session = _open(self.path, providers, threads)
+        self._session = open_session(self.path, providers=providers, threads=threads)
         self._input, self._dtype = self._checked_input()
         self._size = self._checked_size()
         self._output = self._checked_output()
-        self._not_finite: dict[str, int] = {}
-        self._doubtful: dict[str, bool] = {}
+        self.notes: dict[str, dict[str, int]] = {}
 
     def select(self, cameras: Sequence[Camera]) -> list[Camera]:
         """All the cameras: a network can speak on any image.
@@ -102,19 +105,28 @@ class OnnxDetector:
     def warnings(self) -> tuple[str, ...]:
         """What went wrong in the views so far without stopping the run."""
         found = []
-        views = [name for name, count in self._not_finite.items() if count]
+        counts = {view: note["not_finite"] for view, note in self.notes.items()}
+        views = [view for view, count in counts.items() if count]
         if views:
-            total = sum(self._not_finite.values())
             found.append(
-                f"{self.path}: {total} outputs in {len(views)} of {len(self._not_finite)} views "
-                f"are not finite and count as undecided (first in {views[0]!r})"
+                f"{self.path}: {sum(counts.values())} outputs in {len(views)} of {len(counts)} "
+                f"views are not finite and count as undecided (first in {views[0]!r})"
             )
-        if self._doubtful and all(self._doubtful.values()):
+        if self.notes and all(note["squashed"] for note in self.notes.values()):
             found.append(
                 f"{self.path}: all outputs lie in [0, 1] before the sigmoid, so they look like "
                 'probabilities already; try activation = "none"'
             )
         return tuple(found)
+
+    @functools.cached_property
+    def fingerprint(self) -> str:
+        """What decides its output besides the image, as a key for `CachedDetector`.
+
+        The model with all its files, the spec, the providers, onnxruntime's version and the code
+        that feeds and reads the network; not the number of threads.
+        """
+        return fingerprint(self.path, self.spec, self._session.get_providers())
 
     def _checked_input(self) -> tuple[str, type]:
         inputs = self._session.get_inputs()
@@ -128,14 +140,15 @@ class OnnxDetector:
             raise InputError(f"{self.path}: no input {self.spec.input!r}, the model has {names!r}")
         if inputs[0].type not in FLOATS:
             raise InputError(
-                f"{self.path}: input {names!r} is {inputs[0].type}, expected "
+                f"{self.path}: input {names!r} is {_described(inputs[0])}, expected "
                 f"{' or '.join(FLOATS)}; export the model with float inputs"
             )
         return names, FLOATS[inputs[0].type]
 
     def _checked_size(self) -> tuple[int | None, int | None]:
         """Height and width that every image is brought to, None where they are free."""
-        shape = self._session.get_inputs()[0].shape
+        tensor = self._session.get_inputs()[0]
+        shape = tensor.shape
         planar = self.spec.layout == "NCHW"
         size = self.spec.size if isinstance(self.spec.size, tuple) else (None, None)
         sides = [side or axis for axis, side in zip("HW", size, strict=True)]
@@ -144,7 +157,7 @@ class OnnxDetector:
         # Open sides go with anything, but a side of 3 is the colours of the other layout.
         if len(shape) != 4 or 3 in spatial or any(map(_excludes, shape, wanted)):
             raise InputError(
-                f"{self.path}: input {self._input!r} has shape {_shape(shape)}, the spec expects "
+                f"{self.path}: input {self._input!r} is {_described(tensor)}, the spec expects "
                 f"{_shape(wanted)}; change size or layout of the spec, or export it for that shape"
             )
         height, width = (
@@ -164,7 +177,10 @@ class OnnxDetector:
             )
         shape, kind = outputs[wanted].shape, outputs[wanted].type
         if not kind.startswith("tensor(") or kind == "tensor(string)":
-            raise InputError(f"{self.path}: output {wanted!r} is {kind}, expected a float tensor")
+            raise InputError(
+                f"{self.path}: output {wanted!r} is {_described(outputs[wanted])}, expected "
+                f"{' or '.join(FLOATS)}; change output in the spec"
+            )
         if shape:  # an empty one is what onnxruntime says where the model says nothing
             self._check_map(wanted, shape)
         return wanted
@@ -218,7 +234,7 @@ class OnnxDetector:
         except Exception as trouble:  # onnxruntime's errors have no common base class
             raise InputError(
                 f"{self.path}: the model fails on view {view!r} with input "
-                f"{_shape(feed.shape)}: {_one_line(trouble)}; change size, multiple_of or layout"
+                f"{_shape(feed.shape)}: {one_line(trouble)}; change size, multiple_of or layout"
             ) from trouble
         return np.asarray(raw, np.float32)
 
@@ -243,16 +259,16 @@ class OnnxDetector:
         """The tampered channel after the activation, undecided where that is not finite."""
         from scipy.special import expit, softmax
 
-        channel = self.spec.channel or 0
+        channel, squashed = self.spec.channel or 0, False
         probability = planes[channel]
         if self.spec.activation == "softmax":
             with np.errstate(invalid="ignore"):  # infinite ones are counted below
                 probability = softmax(planes, axis=0)[channel]
         elif self.spec.activation == "sigmoid":
-            self._doubtful[view] = bool(((probability >= 0) & (probability <= 1)).all())
+            squashed = bool(((probability >= 0) & (probability <= 1)).all())
             probability = expit(probability)
         finite = np.isfinite(probability)
-        self._not_finite[view] = int(probability.size - finite.sum())
+        self.notes[view] = {"not_finite": int((~finite).sum()), "squashed": int(squashed)}
         # The threshold is what becomes 0.5.
         probability = np.where(finite, probability, np.float32(self.spec.threshold))
         low, high = float(probability.min()), float(probability.max())
@@ -264,40 +280,16 @@ class OnnxDetector:
         return np.clip(probability, 0, 1)
 
 
-def _open(path: Path, providers: Sequence[str], threads: int) -> Any:
-    import onnxruntime
-
-    if not path.is_file():
-        found = "is a folder" if path.is_dir() else "does not exist"
-        raise InputError(f"{path}: {found}, expected an ONNX model")
-    available = onnxruntime.get_available_providers()
-    missing = [provider for provider in providers if provider not in available]
-    if missing:
-        raise InputError(
-            f"{path}: onnxruntime has no provider {missing[0]!r} here, expected some of "
-            f"{', '.join(available)}"
-        )
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = threads
-    options.log_severity_level = 4  # what it would print is in the errors raised
-    try:
-        return onnxruntime.InferenceSession(path, options, providers=list(providers))
-    except Exception as trouble:  # onnxruntime's errors have no common base class
-        raise InputError(
-            f"{path}: onnxruntime cannot load it as an ONNX model ({_one_line(trouble)}); export "
-            "it again"
-        ) from trouble
-
-
 def _excludes(found: int | str | None, expected: int | str) -> bool:
     """Whether two sides are both fixed and differ; names and None are open."""
     return isinstance(found, int) and isinstance(expected, int) and found != expected
 
 
+def _described(tensor: Any) -> str:
+    """Type and shape of an input or output of a session."""
+    return f"{tensor.type} of shape {_shape(tensor.shape)}"
+
+
 def _shape(shape: Sequence[int | str | None]) -> str:
     """A shape for people, "?" where it is open."""
     return "[" + ", ".join("?" if side is None else str(side) for side in shape) + "]"
-
-
-def _one_line(trouble: Exception) -> str:
-    return " ".join(str(trouble).split())

@@ -2,16 +2,21 @@
 
 Networks differ in a few facts: the size they take and how an image is brought to it, the order and
 statistics of the channels, and which output means tampered after which activation. `OnnxSpec` holds
-them; a TOML table with the same fields makes one by `OnnxSpec.from_table`. `PRESETS` are published
-networks, their values taken from their own inference code.
+them, and `read_spec` reads them from a TOML file with the same fields. Such a file stands beside
+the model that it belongs to: net.toml for net.onnx. `PRESETS` are published networks, their values
+taken from their own inference code.
 """
 
 import dataclasses
+import difflib
 import math
+import tomllib
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, Literal
 
 from gsc_jax.errors import InputError
+from gsc_jax.io.files import existing_file
 
 CHOICES = {
     "fit": ("resize", "pad", "none"),
@@ -96,8 +101,11 @@ class OnnxSpec:
         known = [field.name for field in dataclasses.fields(cls)]
         unknown = sorted(set(table) - set(known))
         if unknown:
+            close = difflib.get_close_matches(unknown[0].lower(), known, n=1)
+            meant = f" (did you mean {close[0]!r}?)" if close else ""
             raise InputError(
-                f"detector spec: unknown field {unknown[0]!r}, expected some of {', '.join(known)}"
+                f"detector spec: unknown field {unknown[0]!r}{meant}, expected some of "
+                f"{', '.join(known)}"
             )
         return cls(**table)
 
@@ -159,6 +167,35 @@ PRESETS = {
     "pscc-net": OnnxSpec(fit="none"),
 }
 """Published networks, for exports of the whole network with its outputs in their own order."""
+
+
+def read_spec(path: str | Path) -> OnnxSpec:
+    """The spec that a TOML file holds.
+
+    Args:
+        path: A file with some of the fields of `OnnxSpec`.
+
+    Returns:
+        The spec; fields that the file leaves out are those of `PLAIN`.
+
+    Raises:
+        InputError: If there is no such file, it is no TOML, or it holds what makes no spec.
+    """
+    path = existing_file(path, expected="a detector spec (.toml)")
+    try:
+        return OnnxSpec.from_table(tomllib.loads(path.read_text(encoding="utf-8")))
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    except ValueError as error:
+        raise InputError(
+            f"{path}: no TOML ({error}), expected the fields of OnnxSpec, as in size = 512"
+        ) from error
+
+
+def spec_beside(model: str | Path) -> Path | None:
+    """The file beside a model that says how to run it: net.toml for net.onnx, None without."""
+    path = Path(model).parent / f"{Path(model).stem}.toml"
+    return path if path.is_file() else None
 
 
 def preset(name: str) -> OnnxSpec:

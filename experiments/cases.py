@@ -127,9 +127,7 @@ def donor(scene: Scene, seed: int, data: Path = DATA) -> Gaussians:
 
 def make_case(name: str, edit: Edit, seed: int, data: Path = DATA) -> Case:
     """Edit a scene and look at the truth from everywhere."""
-    scene = load_scene(name, data)
-    pasted = donor(scene, seed, data) if edit == "incorporation" else None
-    edited = _edited(scene, edit, pasted, seed)
+    scene, edited = load_scene(name, data), edit_scene(name, edit, seed, data)
     gaussians, labels = jax.tree.map(jnp.asarray, edited.gaussians), edited.labels
     decoy = decoy_labels(edited.gaussians, labels, seed=seed)
     return Case(
@@ -145,8 +143,10 @@ def make_case(name: str, edit: Edit, seed: int, data: Path = DATA) -> Case:
     )
 
 
-def _edited(scene: Scene, edit: Edit, pasted: Gaussians | None, seed: int) -> Tampered:
+def edit_scene(name: str, edit: Edit, seed: int, data: Path = DATA) -> Tampered:
     """The edit of this seed, or of the next hundredth one for which the scene has a place."""
+    scene = load_scene(name, data)
+    pasted = donor(scene, seed, data) if edit == "incorporation" else None
     for retry in range(RETRIES + 1):
         try:
             return tamper(

@@ -13,7 +13,7 @@ help:
 	@echo 'make test    ruff, pyright and all tests'
 	@echo 'make lint    ruff and pyright'
 	@echo 'make bench   speed of splatting on this machine'
-	@echo 'make results every table and chart of docs/results.md (two to three hours)'
+	@echo 'make results every table and chart of docs/results.md (three to four hours)'
 	@echo 'make clean   remove .venv, demo/ and caches'
 	@echo 'Another interpreter: make test PYTHON=python3.12'
 
@@ -34,7 +34,8 @@ bench: $(VENV)/installed
 	$(BIN)/python benchmarks/page.py
 
 results: $(VENV)/installed
-	for name in editing beyond calibration enough ablation robustness authentic parsimony stability speed_accuracy real_scenes; do \
+	$(BIN)/python experiments/train_cues.py --keep .cues --out .cues/all.npz
+	for name in native editing beyond calibration enough ablation robustness authentic parsimony stability speed_accuracy real_scenes; do \
 	  $(BIN)/python experiments/$$name.py || exit 1; done
 	$(BIN)/python experiments/backbones.py --seeds 1
 

@@ -7,7 +7,7 @@ numbers (scene, edit, seed), so that any row of any table can be made again.
 import dataclasses
 import functools
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import jax
@@ -33,6 +33,7 @@ REAL, MADE = ("kitchen", "playbot", "flowers"), ("room", "garden")
 QUICK = "small room"
 """What a quick run looks at: a tenth of the work."""
 OBJECTS = ("statue", "guitar", "plant")
+CUT = "cut from "
 HELDOUT_EVERY = 4
 """Of the cameras of a real scene, every fourth is kept for the metrics."""
 WIDTH, HEIGHT = 360, 270
@@ -109,20 +110,24 @@ def _real(name: str, data: Path) -> tuple[Gaussians, list[Camera], list[Camera]]
     return load_ply(data / "scenes" / f"{name}.ply"), looked, heldout
 
 
-def donor(scene: Scene, seed: int, data: Path = DATA) -> Gaussians:
-    """An object to paste: by seed scanned, made, or cut from another scene of the same kind."""
-    siblings = REAL if scene.name in REAL else MADE
-    others = [name for name in siblings if name != scene.name]
-
-    def cut() -> Gaussians:
-        elsewhere = load_scene(others[seed % len(others)], data)
-        return cut_object(elsewhere.gaussians, elsewhere.cameras, seed=seed)
-
-    made: list[Callable[[], Gaussians]] = [functools.partial(make_object, seed=seed)]
-    real = [functools.partial(load_ply, data / "objects" / f"{name}.ply") for name in OBJECTS]
-    choices = [*(real if scene.name in REAL else made), cut]
+def donor_name(scene: str, seed: int) -> str:
+    """What is pasted: by seed a scanned object, a made one, or one cut from a scene of its kind."""
+    siblings = REAL if scene in REAL else MADE
+    others = [name for name in siblings if name != scene]
+    choices = [*(OBJECTS if scene in REAL else ("vase",)), f"{CUT}{others[seed % len(others)]}"]
     # Different scenes begin with different objects.
-    return choices[(seed + sum(scene.name.encode())) % len(choices)]()
+    return choices[(seed + sum(scene.encode())) % len(choices)]
+
+
+def donor(scene: Scene, seed: int, data: Path = DATA) -> Gaussians:
+    """The object of that name."""
+    name = donor_name(scene.name, seed)
+    if name in OBJECTS:
+        return load_ply(data / "objects" / f"{name}.ply")
+    if name.startswith(CUT):
+        elsewhere = load_scene(name.removeprefix(CUT), data)
+        return cut_object(elsewhere.gaussians, elsewhere.cameras, seed=seed)
+    return make_object(seed=seed)
 
 
 def make_case(name: str, edit: Edit, seed: int, data: Path = DATA) -> Case:

@@ -16,7 +16,7 @@ from gsc_jax.detection import Detector
 from gsc_jax.evidence import Evidence, blank_evidence
 from gsc_jax.finding import Finding
 from gsc_jax.observe import Observation, observe
-from gsc_jax.robust import RobustConfig, find_robust
+from gsc_jax.robust import Prior, RobustConfig, find_robust
 from gsc_jax.scene import Camera, Gaussians
 from gsc_jax.stages import Progress, Stages, silent
 
@@ -54,6 +54,7 @@ def observe_enough(
     detector: Detector,
     config: RobustConfig,
     *,
+    prior: Prior | None = None,
     stages: Stages | None = None,
     progress: Progress = silent,
 ) -> tuple[list[Camera], Observation, Finding, Effort]:
@@ -64,6 +65,7 @@ def observe_enough(
         cameras: Views that the detector can judge.
         detector: The 2D detector.
         config: Of the estimator; labels that change by less than its tolerance stop the looking.
+        prior: What is known without the masks.
         stages: Where to note the time of each stage.
         progress: Called with (stage, done, total).
 
@@ -72,7 +74,7 @@ def observe_enough(
     """
     order = [cameras[k] for k in spread(len(cameras))]
     stages = stages or Stages()
-    rounds = _ever_more(gaussians, order, detector, config, stages, progress)
+    rounds = _ever_more(gaussians, order, detector, config, prior, stages, progress)
     return deque(rounds, maxlen=1).pop()
 
 
@@ -81,6 +83,7 @@ def _ever_more(
     order: list[Camera],
     detector: Detector,
     config: RobustConfig,
+    prior: Prior | None,
     stages: Stages,
     progress: Progress,
 ) -> Iterator[tuple[list[Camera], Observation, Finding, Effort]]:
@@ -106,7 +109,7 @@ def _ever_more(
         parts.append(part)
         observation = _joined(parts, _rows(room, 0, end))
         with stages("optimise"):
-            finding = find_robust(observation.evidence, gaussians.means, config)
+            finding = find_robust(observation.evidence, gaussians.means, config, prior)
         if labels is not None:
             changes.append(changed(labels, finding.labels, observation.evidence))
         labels = finding.labels

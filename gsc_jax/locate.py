@@ -1,6 +1,7 @@
-"""The whole method: scene, cameras and a 2D detector in, the tampered Gaussians out."""
+"""The whole method: scene, cameras and perhaps a 2D detector in, the tampered Gaussians out."""
 
 import dataclasses
+import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -15,9 +16,11 @@ from gsc_jax.errors import InputError
 from gsc_jax.finding import Finding, Reliability
 from gsc_jax.frugal import Effort, observe_enough
 from gsc_jax.method import CONFIGS, Config, Method, find, settled
+from gsc_jax.native import Native, find_native, native_evidence
 from gsc_jax.observe import observe
 from gsc_jax.parallel import WORKERS, ahead
 from gsc_jax.robust import RobustConfig
+from gsc_jax.roles import verdict
 from gsc_jax.scene import Camera, Gaussians, invalid_rows
 from gsc_jax.stages import Progress, Stages, silent
 from gsc_jax.views import check_views
@@ -40,9 +43,11 @@ class Result:
             it, or is inverted.
         masks: Tampered pixels (H, W) bool of every view, by camera name.
         detections: What the 2D detector said, (H, W) float16 in [0, 1], by camera name.
-        seen: Gaussians that contributed to some pixel, shape (N,) bool.
+        seen: Gaussians that contributed to some pixel, or that could be described where no
+            detector looked, shape (N,) bool.
         group_sizes: Sizes of G_h, G_m and G_l in every iteration, shape (iterations, 3).
         effort: How many views `robust` looked at, and why no more; None where all were wanted.
+        native: What the Gaussians themselves said; None where they were not asked.
         method: Name of the method.
         config: Its resolved configuration.
         stages: By stage its seconds, which overlap where views are worked on in threads, and the
@@ -61,6 +66,7 @@ class Result:
     seen: np.ndarray
     group_sizes: np.ndarray
     effort: Effort | None
+    native: Native | None
     method: str
     config: Config
     stages: dict[str, dict[str, float]]
@@ -71,10 +77,11 @@ class Result:
 def locate(
     gaussians: Gaussians,
     cameras: Sequence[Camera],
-    detector: Detector | Callable[[np.ndarray], Any] | Mapping[str, Any],
+    detector: Detector | Callable[[np.ndarray], Any] | Mapping[str, Any] | None,
     *,
     method: Method = "robust",
     config: Config | None = None,
+    native: Native | bool = True,
     progress: Progress = silent,
 ) -> Result:
     """Find the tampered Gaussians of a scene.
@@ -83,10 +90,12 @@ def locate(
         gaussians: N Gaussians.
         cameras: The views to look from, each of another name.
         detector: A detector, a function image (H, W, 3) -> probability (any size), or
-            probabilities by camera name.
+            probabilities by camera name. With None, `robust` asks the Gaussians alone, and the
+            views only show what was found.
         method: `robust` (asks what each mask is worth), `official` (the schedule of the released
             code) or `paper` (the equations).
         config: Replaces the method, e.g. a changed `METHODS["paper"]` or a `RobustConfig`.
+        native: Whether `robust` asks the Gaussians themselves, or what they said when they were.
         progress: Called with (stage, done, total).
 
     Returns:
@@ -94,43 +103,44 @@ def locate(
 
     Raises:
         InputError: if the cameras see nothing of the scene, share a name, or have no mask.
-        ValueError: if the method is unknown.
+        ValueError: if the method is unknown, or there is nothing that it could go by.
     """
     if method not in CONFIGS:
         raise ValueError(f"method must be one of {', '.join(CONFIGS)}, got {method!r}")
-    config = config or CONFIGS[method]
-    stages, detector = Stages(), as_detector(detector)
+    config, stages = config or CONFIGS[method], Stages()
     warnings = [*check_views(gaussians, cameras, near=config.near), *_unusable(gaussians)]
+    _check_names(cameras)
     gaussians = jax.tree.map(jnp.asarray, gaussians)
-    chosen = _select(detector, cameras, warnings)
-
-    # Masks that are there cost nothing; a network is asked for no more than it takes.
-    if isinstance(config, RobustConfig) and config.tolerance > 0 and detector.needs_image:
-        chosen, observation, finding, effort = observe_enough(
-            gaussians, chosen, detector, config, stages=stages, progress=progress
-        )
-    else:
-        observation = observe(
-            gaussians, chosen, detector, near=config.near, stages=stages, progress=progress
-        )
-        effort = None
+    told = _asked(gaussians, native, config, stages, progress)
+    if detector is not None:
+        detector = as_detector(detector)
+        chosen = _select(detector, cameras, warnings)
         config = settled(config, len(chosen))
+        look = _looked(gaussians, chosen, detector, told, config, stages, progress)
+    elif told is not None and isinstance(config, RobustConfig):
         with stages("optimise"):
-            finding = find(gaussians, chosen, observation, config)
-    seen, flagged, detections = observation.evidence.seen, observation.masks, observation.detections
-    del observation  # the evidence is the largest thing there is, and the masks do not need it
+            look = _Looked(finding=find_native(told, config), seen=told.known)
+    else:
+        raise ValueError(
+            f"{config.name} without a detector and without the Gaussians' own evidence has nothing "
+            "to go by; give a detector, or use `robust` with native=True"
+        )
+    finding = look.finding
     masks = _masks(gaussians, cameras, finding, config, stages, progress)
     return Result(
         tamper=finding.tamper,
         labels=finding.labels,
         attribute=finding.attribute,
         verdict=finding.verdict,
-        reliability={c.name: said for c, said in zip(chosen, finding.reliability, strict=False)},
+        reliability={
+            c.name: said for c, said in zip(look.cameras, finding.reliability, strict=False)
+        },
         masks=masks,
-        detections=detections,
-        seen=seen,
+        detections=look.detections,
+        seen=look.seen,
         group_sizes=finding.group_sizes,
-        effort=effort,
+        effort=look.effort,
+        native=told,
         method=config.name,
         config=config,
         stages=stages.summary(),
@@ -138,10 +148,91 @@ def locate(
         warnings=[
             *warnings,
             *finding.warnings,
-            *([] if isinstance(config, RobustConfig) else _disagreement(flagged, masks)),
+            *([] if isinstance(config, RobustConfig) else _disagreement(look.flagged, masks)),
             *getattr(detector, "warnings", ()),
         ],
     )
+
+
+def _asked(
+    gaussians: Gaussians,
+    native: Native | bool,
+    config: Config,
+    stages: Stages,
+    progress: Progress,
+) -> Native | None:
+    """What the Gaussians themselves say, where the method has a use for it."""
+    if not isinstance(config, RobustConfig) or not native or config.native == 0:
+        return None
+    if isinstance(native, Native):
+        if len(native.known) != len(gaussians):
+            raise ValueError(
+                f"native speaks of {len(native.known)} Gaussians, the scene has {len(gaussians)}"
+            )
+        return native
+    progress("native", 0, 1)
+    with stages("native"):
+        told = native_evidence(gaussians)
+    progress("native", 1, 1)
+    return told
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class _Looked:
+    """What was found, and from where; without the evidence, which is the largest thing there is."""
+
+    finding: Finding
+    seen: np.ndarray
+    cameras: Sequence[Camera] = ()
+    flagged: Mapping[str, np.ndarray] = dataclasses.field(default_factory=dict)
+    detections: dict[str, np.ndarray] = dataclasses.field(default_factory=dict)
+    effort: Effort | None = None
+
+
+def _looked(
+    gaussians: Gaussians,
+    cameras: list[Camera],
+    detector: Detector,
+    native: Native | None,
+    config: Config,
+    stages: Stages,
+    progress: Progress,
+) -> _Looked:
+    """Look from the cameras, and find what the detector's masks and the Gaussians agree on."""
+    prior = None if native is None else native.prior
+    effort = None
+    # Masks that are there cost nothing; a network is asked for no more than it takes.
+    if isinstance(config, RobustConfig) and config.tolerance > 0 and detector.needs_image:
+        cameras, observation, finding, effort = observe_enough(
+            gaussians, cameras, detector, config, prior=prior, stages=stages, progress=progress
+        )
+    else:
+        observation = observe(
+            gaussians, cameras, detector, near=config.near, stages=stages, progress=progress
+        )
+        with stages("optimise"):
+            finding = find(gaussians, cameras, observation, config, prior)
+    if native is not None and observation.evidence.says_nothing:
+        finding = _although_unseen(native, len(cameras), config)
+    return _Looked(
+        finding=finding,
+        seen=observation.evidence.seen,
+        cameras=cameras,
+        flagged=observation.masks,
+        detections=observation.detections,
+        effort=effort,
+    )
+
+
+def _although_unseen(native: Native, views: int, config: Config) -> Finding:
+    """What the Gaussians say where no view flags anything, which speaks against them."""
+    assert isinstance(config, RobustConfig)
+    silent = verdict(0.0, views)
+    found = find_native(native, config, against=math.log((1 - silent) / silent))
+    said = "No view says that anything is tampered."
+    if found.labels.any():
+        said += " What is labelled is what the Gaussians themselves say."
+    return dataclasses.replace(found, warnings=[said])
 
 
 def _masks(
@@ -174,7 +265,7 @@ def _masks(
     return masks
 
 
-def _disagreement(flagged: dict[str, np.ndarray], masks: dict[str, np.ndarray]) -> list[str]:
+def _disagreement(flagged: Mapping[str, np.ndarray], masks: Mapping[str, np.ndarray]) -> list[str]:
     """A warning where next to nothing of what the detector flagged was confirmed."""
     said = np.mean([mask.mean() for mask in flagged.values()])
     found = np.mean([masks[name].mean() for name in flagged])
@@ -199,11 +290,15 @@ def _unusable(gaussians: Gaussians) -> list[str]:
     ]
 
 
-def _select(detector: Detector, cameras: Sequence[Camera], warnings: list[str]) -> list[Camera]:
+def _check_names(cameras: Sequence[Camera]) -> None:
     names = [camera.name for camera in cameras]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise InputError(f"Two cameras are called {twice[0]!r}; masks are kept by camera name.")
+
+
+def _select(detector: Detector, cameras: Sequence[Camera], warnings: list[str]) -> list[Camera]:
+    names = [camera.name for camera in cameras]
     chosen = detector.select(cameras)
     if len(chosen) < len(cameras):
         without = next(name for name in names if name not in {camera.name for camera in chosen})

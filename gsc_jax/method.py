@@ -23,7 +23,7 @@ from gsc_jax.losses import official_attributes, paper_attributes, standardised_a
 from gsc_jax.observe import Observation
 from gsc_jax.parallel import WORKERS, ahead
 from gsc_jax.projection import NEAR
-from gsc_jax.robust import RobustConfig, find_robust
+from gsc_jax.robust import Prior, RobustConfig, find_robust
 from gsc_jax.scene import Array, Camera, Gaussians
 from gsc_jax.tiles import View, make_view
 from gsc_jax.vote import official_consensus, paper_consensus
@@ -113,7 +113,11 @@ def settled(config: Config, views: int) -> Config:
 
 
 def find(
-    gaussians: Gaussians, cameras: Sequence[Camera], observation: Observation, config: Config
+    gaussians: Gaussians,
+    cameras: Sequence[Camera],
+    observation: Observation,
+    config: Config,
+    prior: Prior | None = None,
 ) -> Finding:
     """From what was observed to the tampered Gaussians: by voting and optimising, or `robust`.
 
@@ -122,12 +126,13 @@ def find(
         cameras: The cameras of the observation, in its order.
         observation: What they saw, from `observe`.
         config: Of the method.
+        prior: What is known without the masks; only `robust` has a use for it.
 
     Returns:
         The finding. Where the attribute can say nothing, because no mask or every mask is full, it
         is defined and says so.
     """
-    return _find(Given(gaussians, cameras, observation), config)
+    return _find(Given(gaussians, cameras, observation, prior), config)
 
 
 def sweep(
@@ -155,8 +160,15 @@ def sweep(
 class Given:
     """What all configurations start from, each part made when it is first asked for."""
 
-    def __init__(self, gaussians: Gaussians, cameras: Sequence[Camera], observation: Observation):
+    def __init__(
+        self,
+        gaussians: Gaussians,
+        cameras: Sequence[Camera],
+        observation: Observation,
+        prior: Prior | None = None,
+    ):
         self.gaussians, self.cameras, self.observation = gaussians, cameras, observation
+        self.prior = prior
         self.attributes = _once(lambda name: ATTRIBUTES[name](gaussians))
         self.initial = _once(self._initial)
 
@@ -181,7 +193,7 @@ def _once(function: Callable[[str], Array]) -> Callable[[str], Array]:
 def _find(given: Given, config: Config) -> Finding:
     evidence = given.observation.evidence
     if isinstance(config, RobustConfig):
-        return find_robust(evidence, given.gaussians.means, config)
+        return find_robust(evidence, given.gaussians.means, config, given.prior)
     attribute, group_sizes = _optimise(given, config)
     clear = undisputed(evidence)
     if clear:

@@ -98,6 +98,7 @@ def observe(
             return _votes(gaussians, camera, mask)
 
     votes = no_votes(len(gaussians))
+    progress("look", 0, len(cameras))  # the first view may take a network half a minute
     with ThreadPoolExecutor(WORKERS) as pool:
         for done, counts in enumerate(ahead(pool, lift, judged()), start=1):
             votes = votes + counts

@@ -44,6 +44,7 @@ class RobustConfig:
         certainty: Log odds of a class against another after a view that tells them apart.
         smoothing: Log odds that neighbours of one mind add; 0 asks none.
         neighbours: How many are asked.
+        native: Weight of what the Gaussians themselves say (`native.py`), where that is given.
         doubt: Nothing is labelled where the verdict on the scene is less likely than this.
         tolerance: `locate` looks from no more cameras once further views change less than this
             share of what is labelled; 0 looks from all.
@@ -64,6 +65,7 @@ class RobustConfig:
     certainty: float = 3.0
     smoothing: float = 5.0
     neighbours: int = 8
+    native: float = 1.0
     doubt: float = 0.06
     tolerance: float = 0.02
     threshold: float = 0.5
@@ -86,11 +88,25 @@ class RobustConfig:
         for name in ("trust", "pixels", "certainty", "near"):
             if not 0 < getattr(self, name) < math.inf:
                 raise ValueError(f"{name} must be above 0, got {getattr(self, name)}")
-        if not 0 <= self.smoothing < math.inf:
-            raise ValueError(f"smoothing must be 0 or more, got {self.smoothing}")
+        for name in ("smoothing", "native"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise ValueError(f"{name} must be 0 or more, got {getattr(self, name)}")
         for name in ("doubt", "tolerance", "threshold"):
             if not 0 <= getattr(self, name) < 1:
                 raise ValueError(f"{name} must be in [0, 1), got {getattr(self, name)}")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Prior:
+    """What is known without the masks.
+
+    Attributes:
+        log_odds: That a Gaussian is tampered, shape (N,).
+        scene: Log odds that anything was tampered with, if half of all scenes are.
+    """
+
+    log_odds: np.ndarray
+    scene: float
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -113,13 +129,16 @@ class Estimate:
     iterations: int
 
 
-def find_robust(evidence: Evidence, means: Array, config: RobustConfig) -> Finding:
+def find_robust(
+    evidence: Evidence, means: Array, config: RobustConfig, prior: Prior | None = None
+) -> Finding:
     """What the estimator finds, with a verdict on the scene and on every view.
 
     Args:
         evidence: What V views say of N Gaussians, shapes (V, N).
         means: Their centres, shape (N, 3); any unit.
         config: Of the estimator.
+        prior: What else is known.
 
     Returns:
         The finding; its attribute is the log odds of the probability.
@@ -128,12 +147,14 @@ def find_robust(evidence: Evidence, means: Array, config: RobustConfig) -> Findi
     clear = undisputed(evidence)
     if clear:
         return dataclasses.replace(clear, verdict=verdict(float(clear.labels.any()), views))
-    found = estimate(evidence, means, config)
+    found = estimate(evidence, means, config, prior)
     labels = found.probability > config.threshold
     # What no Gaussian is found in speaks for nothing, however often it was flagged.
     certain = verdict(0.0, views)
     if found.roles and labels.any():
         certain = verdict(found.roles.rate, found.roles.views)
+    if prior is not None:
+        certain = both(certain, config.native * prior.scene)
     believed = certain >= config.doubt
     tamper, labels = found.probability * believed, labels & believed
     within = np.clip(found.probability.astype(np.float64), 1e-9, 1 - 1e-9)
@@ -146,6 +167,11 @@ def find_robust(evidence: Evidence, means: Array, config: RobustConfig) -> Findi
         reliability=_reliability(found.roles) if labels.any() else (),
         warnings=_doubts(found.roles, labels, certain),
     )
+
+
+def both(certain: float, log_odds: float) -> float:
+    """A probability after independent evidence of these log odds."""
+    return float(certain / (certain + (1 - certain) * math.exp(-log_odds)))
 
 
 def _reliability(roles: Roles | None) -> tuple[Reliability, ...]:
@@ -178,13 +204,16 @@ def _doubts(roles: Roles | None, labels: np.ndarray, certain: float) -> list[str
     return warnings
 
 
-def estimate(evidence: Evidence, means: Array, config: RobustConfig) -> Estimate:
+def estimate(
+    evidence: Evidence, means: Array, config: RobustConfig, prior: Prior | None = None
+) -> Estimate:
     """The probability of each Gaussian to be tampered.
 
     Args:
         evidence: What V views say of N Gaussians, shapes (V, N).
         means: Their centres, shape (N, 3); any unit.
         config: Of the estimator.
+        prior: What else is known.
 
     Returns:
         The estimate; deterministic, and finite for any evidence.
@@ -204,8 +233,12 @@ def estimate(evidence: Evidence, means: Array, config: RobustConfig) -> Estimate
     )
     if roles is None:
         return found
+    logits = -config.certainty * disagreement(evidence, roles, config.trust)
+    if prior is not None:
+        # An edit need not show in its Gaussians, so what does not is no evidence against one.
+        logits += config.native * np.maximum(prior.log_odds, 0)[:, None] * roles.tampered
     belief = smoothed(
-        -config.certainty * disagreement(evidence, roles, config.trust),
+        logits,
         roles.tampered,
         means,
         seen,
@@ -219,7 +252,9 @@ def estimate(evidence: Evidence, means: Array, config: RobustConfig) -> Estimate
 
 
 def _classify(
-    evidence: Evidence, sample: tuple[np.ndarray, np.ndarray], config: RobustConfig
+    evidence: Evidence,
+    sample: tuple[np.ndarray, np.ndarray],
+    config: RobustConfig,
 ) -> tuple[Roles | None, Fit]:
     """The classes of a sample of Gaussians, and what they are."""
     chosen, worth = sample
@@ -232,9 +267,13 @@ def _classify(
         seed=config.seed,
     )
     used = np.asarray(fit.classes.shares) > 0
-    weights = (np.asarray(fit.belongs) * worth) @ looked.T
-    options = {"inversion": config.inversion, "rivals": config.rivals}
-    return assign_roles(np.asarray(fit.classes.rates)[used], weights[used], **options), fit
+    members = np.asarray(fit.belongs)[used] * worth
+    return assign_roles(
+        np.asarray(fit.classes.rates)[used],
+        members @ looked.T,
+        inversion=config.inversion,
+        rivals=config.rivals,
+    ), fit
 
 
 def disagreement(evidence: Evidence, roles: Roles, trust: float) -> np.ndarray:

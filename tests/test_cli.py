@@ -230,7 +230,7 @@ def test_result_json_says_what_was_done(case, found):
         "out": None,
         "cameras": str(case / "cameras.json"),
         "masks": str(case / "masks"),
-        "detector": None,
+        "detector": [],
         "preset": None,
         "spec": None,
         "provider": None,
@@ -598,11 +598,37 @@ def test_an_empty_folder_of_masks(case, tmp_path):
     assert f"{tmp_path / 'masks'}: holds no images" in message
 
 
-def test_neither_masks_nor_detector_or_both(case, tmp_path):
-    message = refused(*given(case, masks=None), "--out", tmp_path / "out")
-    assert "--masks" in message
-    assert "--detector" in message
-    assert refused(*given(case, detector="net.onnx"), "--out", tmp_path / "out") == message
+def test_nobody_to_ask_or_two_who_speak_of_the_same_views(case, tmp_path):
+    out = "--out", tmp_path / "out"
+    for changes in ({"detector": "none"}, {"method": "paper"}):
+        message = refused(*given(case, masks=None, **changes), *out)
+        assert "nothing to go by" in message
+        assert "--masks" in message
+        assert "--detector" in message
+    assert "give one of the two" in refused(*given(case, detector="net.onnx"), *out)
+    both = refused(*given(case, masks=None), "--detector", "a.onnx", "b.onnx", *out)
+    assert "expected none, or native, one 2D network, or both" in both
+
+
+def test_the_gaussians_alone(case, tmp_path):
+    answer = run(*given(case, masks=None), "--out", tmp_path)
+    assert answer.code == 0
+    assert "probability that anything was tampered with" in answer.out
+    said = report(tmp_path)
+    assert said["verdict"] == said["native"]["verdict"]
+    assert {path.name for path in (tmp_path / "masks").rglob("*.png")}
+    assert not (tmp_path / "detector").exists()
+
+
+def test_who_listens_to_masks_only_is_not_told_what_the_gaussians_say(case, tmp_path):
+    argv = given(case, detector="native", method="official")
+    assert "listens to masks only" in refused(*argv, "--out", tmp_path / "out")
+
+
+def test_masks_without_the_gaussians(case, tmp_path):
+    answer = run(*given(case, detector="none"), "--out", tmp_path)
+    assert answer.code == 0
+    assert report(tmp_path)["native"] is None
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from gsc_jax.io.ply import read_ply
 from gsc_jax.method import Method
 
 COUNT, VIEWS, HELDOUT = 6_000, 6, 2
-CONTESTANTS = ("inverse projection", *get_args(Method))
+CONTESTANTS = ("inverse projection", *demo.RUNS)
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +38,7 @@ def told(tmp_path_factory):
 
 def numbers(lines: list[str], begin: str) -> list[float]:
     """The numbers of the line that begins so."""
-    (line,) = [line for line in lines if line.startswith(f"{begin}  ")]
+    line = next(line for line in lines if line.startswith(f"{begin}  "))
     return [float(x) for x in re.findall(r"[\d.]+", line.removeprefix(begin).replace(",", ""))]
 
 
@@ -106,9 +106,30 @@ def test_the_story_names_the_regime_and_its_masks_score(told):
 def test_pictures_are_written_where_the_story_says(told):
     out, lines, _ = told
     told_of = re.findall(rf"{re.escape(str(out))}\S*\.png", "\n".join(lines))
-    assert len(told_of) == 1 + len(get_args(Method))
+    assert len(told_of) == 1 + len(demo.RUNS) + 2
     for path in told_of:
         assert iio.imread(path)[..., :3].std() > 10, "the picture is empty"
+
+
+def test_the_scene_before_the_edit_lies_beside_it(told):
+    out, lines, _ = told
+    before = np.load(out / "input" / "untouched" / "labels.npy")
+    assert not before.any()
+    assert len(before) == COUNT - np.load(out / "input" / "labels.npy").sum()
+    for name in (demo.ALONE, demo.BOTH):
+        said = json.loads((out / f"untouched-{name}" / "result.json").read_text())
+        edited = json.loads((out / name / "result.json").read_text())
+        (line,) = [line for line in lines if line.startswith(name) and "%" in line]
+        assert f"{edited['verdict']:.0%}" in line
+        assert f"{said['verdict']:.0%}" in line
+        assert line.endswith(f"{said['counts']['tampered']:,}")
+
+
+def test_nobody_gave_masks_to_the_gaussians(told):
+    out, _, _ = told
+    said = json.loads((out / demo.ALONE / "result.json").read_text())
+    assert said["command"]["masks"] is None
+    assert said["native"]["verdict"] == said["verdict"]
 
 
 def test_the_inverse_projection_finds_all_and_much_else(told):

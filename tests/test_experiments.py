@@ -6,6 +6,7 @@ import inspect
 import sys
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 
@@ -23,6 +24,7 @@ SCRIPTS = (
     "backbones",
     "editing",
     "enough",
+    "native",
     "parsimony",
     "robustness",
     "speed_accuracy",
@@ -154,6 +156,60 @@ def test_every_script_runs_in_quick_mode(name, tmp_path):
     assert f"<!-- {name} -->" in (tmp_path / "results.md").read_text()
     assert (tmp_path / f"{name}.png").stat().st_size > 5_000
     assert len((tmp_path / f"{name}.csv").read_text().splitlines()) > 1
+
+
+def test_a_line_through_log_odds_is_found():
+    train = module("train_cues")
+    values = np.random.default_rng(0).normal(size=4_000)
+    labels = np.random.default_rng(1).random(4_000) < 1 / (1 + np.exp(-(1.5 * values - 0.7)))
+    factor, shift = train.logistic(values, labels, np.ones(4_000))
+    assert factor == pytest.approx(1.5, abs=0.15)
+    assert shift == pytest.approx(-0.7, abs=0.15)
+
+
+def test_networks_learn_from_other_scenes_and_models_survive_a_file(tmp_path, monkeypatch):
+    train = module("train_cues")
+    monkeypatch.setattr(train, "STEPS", 150)
+    monkeypatch.setattr(train, "HIDDEN", (8,))
+    scenes = ("a", "b", "c")
+    cases = [_examples(train, scene, seed) for seed, scene in enumerate(scenes)]
+    seen = []
+    trained = train.trained
+    monkeypatch.setattr(
+        train,
+        "trained",
+        lambda own, seed: seen.append([c.scene for c in own]) or trained(own, seed),
+    )
+    with jax.numpy_dtype_promotion("standard"):  # optax adds floats and counts of steps
+        networks = train.networks_of(cases, scenes)
+    assert len(seen) == len(networks) == 6
+    for without, own in zip(networks, seen, strict=True):
+        assert not without & set(own)
+    fold = train.fold_of("a", cases, networks)
+    assert set(fold.networks) == {"b", "c"}
+    train.save(tmp_path / "model.npz", fold.model)
+    with np.load(tmp_path / "model.npz") as stored:
+        again = module("gsc_jax.native").from_arrays(stored)
+    assert again.names == fold.model.names
+    assert again.calibration == pytest.approx(fold.model.calibration)
+    values = cases[0].values.astype(np.float32)
+    odds = np.asarray(train.network(fold.networks["b"], values))
+    assert odds[cases[0].labels].mean() > odds[~cases[0].labels].mean() + 0.5
+
+
+def _examples(train, scene: str, seed: int):
+    rng = np.random.default_rng(seed)
+    labels = rng.random(400) < 0.3
+    values = rng.normal(size=(400, 3))
+    values[:, 0] += 2 * labels
+    return train.Examples(
+        scene=scene,
+        scenes=frozenset({scene}),
+        values=values.astype(np.float16),
+        labels=labels,
+        share=0.1,
+        names=("x", "y", "z"),
+    )
 
 
 def test_some_methods_are_measured_beside_the_rows_of_the_others(tmp_path):

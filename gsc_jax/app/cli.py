@@ -135,6 +135,7 @@ def summary(located: Located, out: Path) -> list[str]:
     return [
         verdict,
         *_judgement(located.result),
+        *_traces(located.result),
         f"method   {located.result.method}",
         f"time     {located.seconds:.1f} s (most work: {times})",
         f"look at  {out / 'overview.png'}, {out / 'overlay'}",
@@ -158,6 +159,12 @@ def _judgement(result: Result) -> list[str]:
         effort = result.effort
         lines.append(f"looked   at {effort.views} of {effort.available} views: {effort.reason}")
     return lines
+
+
+def _traces(result: Result) -> list[str]:
+    """What editing left in the numbers of the file, where anything."""
+    found = result.native.traces if result.native else ()
+    return [f"trace    {trace.explanation}" for trace in found if trace.found]
 
 
 def _complain(message: str, code: int) -> int:

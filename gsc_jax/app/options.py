@@ -42,15 +42,17 @@ class Look:
 class Locate(Look):
     r"""Find the tampered Gaussians of a scene.
 
-    Looks at the scene from its cameras, lets a 2D detector judge every view, or reads the masks
-    that one wrote, and works out which Gaussians were tampered with. A mask is grey: black is
-    authentic, white is tampered, and it is named after its camera.
+    Asks the Gaussians themselves, and no one else unless told to: their attributes, against those
+    around them, often give an edit away. A 2D detector adds what it sees in the views: it is shown
+    them, or the masks are read that it wrote. A mask is grey: black is authentic, white is
+    tampered, and it is named after its camera.
 
     for example:
+      gsc-jax locate scene.ply --out found
       gsc-jax locate scene.ply --masks masks --out found \
               --cameras cameras.json
       gsc-jax locate scene.ply --cameras sparse/0 --out found \
-              --detector net.onnx --preset iml-vit
+              --detector native net.onnx --preset iml-vit
 
     written into the folder of --out:
       overview.png, overlay/   pictures for people
@@ -68,7 +70,10 @@ class Locate(Look):
         cameras: cameras.json, transforms.json, a COLMAP model (extra `colmap`), or a folder that
             holds one of them. Without, cameras are placed around the scene.
         masks: Folder with a mask per camera: CAMERA.png.
-        detector: A 2D detector instead: an ONNX model, which is shown the rendered views.
+        detector: Whom to ask besides --masks, and no one else: `native`, the Gaussians themselves
+            (exact traces of editing, and a small model of their attributes), which only `robust`
+            listens to; MODEL.onnx, a 2D network, or a folder with the encoder.onnx and decoder.onnx
+            of SAFIRE, which is shown the rendered views; both; or `none`.
         preset: How to feed and read the model: iml-vit, trufor, mvss-net or pscc-net.
         spec: The same as a TOML file with the fields of `OnnxSpec`, for other models. A MODEL.toml
             beside MODEL.onnx need not be named, unless there is a --preset.
@@ -100,7 +105,10 @@ class Locate(Look):
     """
 
     masks: Annotated[Path | None, _arg(metavar="DIR", help_behavior_hint="")] = None
-    detector: Annotated[Path | None, _arg(metavar="MODEL.onnx", help_behavior_hint="")] = None
+    detector: Annotated[
+        tuple[Path, ...],
+        _arg(metavar="none|native|MODEL.onnx ...", help_behavior_hint="(default: native)"),
+    ] = ()
     preset: Annotated[
         str | None, _arg(metavar="NAME", help_behavior_hint="(default: RGB in [0, 1])")
     ] = None

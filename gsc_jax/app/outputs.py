@@ -171,6 +171,11 @@ def write_report(folder: Path, command: dict[str, Any], located: Located) -> Non
         "config": dataclasses.asdict(result.config),
         "seed": result.config.seed,
         "verdict": result.verdict,
+        "native": result.native
+        and {
+            "verdict": result.native.verdict,
+            "traces": {t.name: t.explanation for t in result.native.traces if t.found},
+        },
         "counts": {
             "rows": scene.total,
             "dropped": scene.dropped,

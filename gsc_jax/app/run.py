@@ -28,6 +28,7 @@ from gsc_jax.detectors.cached import CachedDetector
 from gsc_jax.detectors.folder import FolderDetector
 from gsc_jax.detectors.onnx import OnnxDetector
 from gsc_jax.detectors.onnx_spec import PLAIN, PRESETS, OnnxSpec, preset, read_spec, spec_beside
+from gsc_jax.detectors.safire import SafireDetector
 from gsc_jax.errors import InputError
 from gsc_jax.io.cameras import load_cameras, save_cameras
 from gsc_jax.io.masks import image_path, write_image
@@ -41,6 +42,10 @@ from gsc_jax.views import check_views, orbit_cameras
 
 ORBIT_VIEWS = 24
 MIN_SIDE, MAX_PIXELS = 8, 50_000_000
+
+
+NATIVE, NOBODY = Path("native"), Path("none")
+"""What may be said to --detector instead of a file."""
 
 
 def run_locate(options: Locate, *, progress: Progress = silent) -> Located:
@@ -63,15 +68,15 @@ def run_locate(options: Locate, *, progress: Progress = silent) -> Located:
             f"{options.out}: holds an edit of `tamper` and its truth; give another --out"
         )
     config, options = _config(options), _with_spec(options)
-    paths = (options.scene, options.cameras, options.masks, options.detector, options.spec)
+    paths = (options.scene, options.cameras, options.masks, _network(options), options.spec)
     inputs = [path for path in paths if path]
     refuse_overlap(options.out, inputs)
     detector = _detector(options)
     with stages("load"):
         scene, cameras = load_scene(options, warnings, progress)
-    cameras = (
-        chosen_cameras(options, detector.select(cameras), warnings) if options.views else cameras
-    )
+    if options.views:
+        usable = detector.select(cameras) if detector else cameras
+        cameras = chosen_cameras(options, usable, warnings)
     with about(options.cameras or options.scene):
         check_views(scene.gaussians, cameras, near=options.near)  # locate repeats its warnings
     with replacing(options.out, keep=inputs) as folder:
@@ -80,6 +85,7 @@ def run_locate(options: Locate, *, progress: Progress = silent) -> Located:
             cameras,
             detector,
             config=config,
+            native=_asks_native(options),
             progress=progress,
         )
         warnings += result.warnings
@@ -214,32 +220,76 @@ def chosen_cameras(options: Look, cameras: Sequence[Camera], warnings: list[str]
     return evenly(cameras, count)
 
 
-def _detector(options: Locate) -> Detector:
-    """The folder of masks, or the network."""
-    if (options.masks is None) == (options.detector is None):
+def _network(options: Locate) -> Path | None:
+    """The 2D network among those to be asked."""
+    asked = [path for path in options.detector if path not in (NATIVE, NOBODY)]
+    alone = NOBODY in options.detector and len(options.detector) > 1
+    if len(asked) > 1 or options.detector.count(NATIVE) > 1 or alone:
         raise InputError(
-            "give the masks of a 2D detector (--masks DIR) or the detector itself (--detector "
-            "MODEL.onnx), one of the two; to try without either: gsc-jax demo --out demo"
+            f"--detector {' '.join(map(str, options.detector))}: expected none, or native, one 2D "
+            "network, or both"
         )
+    return asked[0] if asked else None
+
+
+def _asks_native(options: Locate) -> bool:
+    """Whether the Gaussians themselves are asked; by default where the method can listen."""
+    if NATIVE in options.detector and options.method != "robust":
+        raise InputError(
+            f"--method {options.method}: listens to masks only, and not to --detector native; "
+            "use --method robust"
+        )
+    return options.method == "robust" and (NATIVE in options.detector or not options.detector)
+
+
+def _detector(options: Locate) -> Detector | None:
+    """The folder of masks, or the network, or neither."""
+    network = _network(options)
+    if options.masks is not None and network is not None:
+        raise InputError(
+            f"--masks {options.masks} and --detector {network}: give one of the two; the masks of "
+            "several detectors cannot be told apart by the names of the cameras"
+        )
+    if network is None:
+        for flag in ("preset", "spec", "provider", "threads"):
+            if getattr(options, flag) is not None:
+                raise InputError(f"--{flag} says how to run a 2D network; --detector names none")
     if options.masks is not None:
         if options.cameras is None:
             raise InputError(
                 f"--masks {options.masks}: masks belong to cameras, give those with --cameras "
                 "(`gsc-jax render` writes a cameras.json when it makes an orbit)"
             )
-        for flag in ("preset", "spec", "provider", "threads"):
-            if getattr(options, flag) is not None:
-                raise InputError(f"--{flag} says how to run a --detector; there is none")
         return FolderDetector(options.masks)
-    model = Path(options.detector or "")
-    if str(model) in PRESETS and not model.exists():
+    if network is not None:
+        return _opened(network, options)
+    if not _asks_native(options):
+        nobody = " --detector none" if NOBODY in options.detector else ""
         raise InputError(
-            f"--detector {model}: is the name of a preset, expected an ONNX model; export the "
-            f"network and give --detector MODEL.onnx --preset {model}"
+            f"--method {options.method}{nobody}: nothing to go by; give the masks of a 2D detector "
+            "(--masks DIR), the detector itself (--detector MODEL.onnx), or ask the Gaussians "
+            "(--method robust --detector native)"
         )
-    detector = OnnxDetector(
-        model, _spec(options), providers=[options.provider or "cpu"], threads=options.threads or 0
-    )
+    return None
+
+
+def _opened(path: Path, options: Locate) -> Detector:
+    """A 2D network, which remembers what it said unless told not to."""
+    if str(path) in PRESETS and not path.exists():
+        raise InputError(
+            f"--detector {path}: is the name of a preset, expected an ONNX model; export the "
+            f"network and give --detector MODEL.onnx --preset {path}"
+        )
+    run = {"providers": [options.provider or "cpu"], "threads": options.threads or 0}
+    if path.is_dir():
+        if options.preset or options.spec:
+            raise InputError(
+                f"--detector {path}: a folder is taken for SAFIRE's two networks, which need no "
+                "--preset and no --spec"
+            )
+        detector = SafireDetector(path, **run)
+    else:
+        detector = OnnxDetector(path, _spec(options), **run)
     if options.no_cache:
         return detector
     return CachedDetector(detector, default_cache() / "detections", detector.fingerprint)
@@ -255,9 +305,10 @@ def _spec(options: Locate) -> OnnxSpec:
 
 def _with_spec(options: Locate) -> Locate:
     """The options with the spec that lies beside the model, so that the report names it."""
-    if options.detector is None or options.preset or options.spec:
+    network = _network(options)
+    if network is None or network.is_dir() or options.preset or options.spec:
         return options
-    return dataclasses.replace(options, spec=spec_beside(options.detector))
+    return dataclasses.replace(options, spec=spec_beside(network))
 
 
 def check_look(options: Look) -> None:

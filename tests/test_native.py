@@ -1,0 +1,217 @@
+"""Evidence from the Gaussians themselves: what is laid down, and what it finds."""
+
+import dataclasses
+
+import jax
+import numpy as np
+import pytest
+
+from gsc_jax import locate
+from gsc_jax.benchmark.export import exported
+from gsc_jax.benchmark.metrics import auc, truth_mask
+from gsc_jax.benchmark.scenes import tampered_room
+from gsc_jax.cues import cues
+from gsc_jax.errors import InputError
+from gsc_jax.method import METHODS
+from gsc_jax.native import (
+    SURE,
+    Native,
+    as_arrays,
+    find_native,
+    from_arrays,
+    judged,
+    native_evidence,
+    settled,
+    shipped_model,
+)
+from gsc_jax.robust import RobustConfig
+from gsc_jax.traces import Trace
+
+MADE = tampered_room(count=6_000, views=2, heldout=1, width=64, height=48, seed=12)
+SAVED = exported(MADE.gaussians, seed=12)
+
+
+def test_a_pasted_object_is_found_in_an_export_that_hides_the_format():
+    told = native_evidence(SAVED)
+    assert auc(told.log_odds, MADE.labels) > 0.9
+    assert told.probability.shape == (6_000,)
+    assert 0 <= told.verdict <= 1
+
+
+def test_the_order_of_the_rows_does_not_matter():
+    order = np.random.default_rng(0).permutation(len(SAVED))
+    one, other = native_evidence(SAVED), native_evidence(SAVED.take(order))
+    np.testing.assert_allclose(other.log_odds, one.log_odds[order], atol=0.05)
+
+
+def test_rows_without_meaning_say_nothing_and_harm_nobody():
+    means = np.array(SAVED.means)
+    means[:20] = np.nan
+    broken = dataclasses.replace(SAVED, means=means)
+    told = native_evidence(broken)
+    assert not told.known[:20].any()
+    assert (told.log_odds[:20] == np.float32(told.base)).all()
+    assert np.isfinite(told.log_odds).all()
+    assert auc(told.log_odds[20:], MADE.labels[20:]) > 0.9
+
+
+@pytest.mark.parametrize("count", [1, 5, 17, 40])
+def test_few_gaussians_are_no_trouble(count):
+    told = native_evidence(SAVED.take(np.arange(count)))
+    assert np.isfinite(told.log_odds).all()
+    assert np.isfinite(told.verdict)
+
+
+def test_a_model_survives_being_stored():
+    model = shipped_model()
+    again = from_arrays(as_arrays(model))
+    described = cues(SAVED)
+    np.testing.assert_array_equal(judged(described, model), judged(described, again))
+    assert again.names == model.names
+    assert again.scene == model.scene
+
+
+def test_the_model_in_the_box_is_small():
+    size = sum(np.asarray(part).nbytes for part in as_arrays(shipped_model()).values())
+    assert size < 1.5e6
+
+
+def test_settling_keeps_what_all_agree_on():
+    described = cues(SAVED)
+    np.testing.assert_allclose(settled(np.full(6_000, 2.0, np.float32), described), 2, atol=1e-5)
+
+
+def test_a_scene_like_none_that_was_trained_on_is_not_all_suspicious():
+    rng = np.random.default_rng(0)
+    dots = dataclasses.replace(
+        SAVED.take(np.arange(300)),
+        means=rng.normal(size=(300, 3)).astype(np.float32),
+        log_scales=np.full((300, 3), -2.6, np.float32),
+    )
+    told = native_evidence(dots)
+    assert np.median(told.learned) <= told.base + 1e-4
+
+
+def test_odds_are_bounded():
+    assert np.abs(judged(cues(SAVED), shipped_model())).max() <= SURE
+
+
+def test_a_trace_alone_is_enough():
+    score = np.zeros(4, np.float32)
+    score[0] = 1.0
+    trace = Trace(name="copied", score=score, explanation="one")
+    native = Native(
+        known=np.ones(4, bool),
+        learned=np.zeros(4, np.float32),
+        learned_verdict=0.5,
+        log_odds=np.array([3.0, -3.0, 1.0, -9.0], np.float32),
+        base=-3.0,
+        worst=7.0,
+        verdict=0.9,
+        traces=(trace,),
+    )
+    found = find_native(native, RobustConfig())
+    # The level is three tenths of the way from -3 to 7.
+    assert found.labels.tolist() == [True, False, True, False]
+    np.testing.assert_allclose(found.attribute, [3, -3, 1, -9], atol=1e-5)
+    assert native.prior.scene == pytest.approx(np.log(9))
+    assert not native.without_traces.traces
+
+
+def test_nothing_is_labelled_where_next_to_nothing_speaks_for_an_edit():
+    native = Native(
+        known=np.ones(2, bool),
+        learned=np.zeros(2, np.float32),
+        learned_verdict=0.5,
+        log_odds=np.array([3.0, -3.0], np.float32),
+        base=-3.0,
+        worst=7.0,
+        verdict=0.01,
+        traces=(),
+    )
+    assert not find_native(native, RobustConfig()).labels.any()
+    assert not find_native(native, RobustConfig()).tamper.any()
+    assert find_native(native, RobustConfig(doubt=0.0)).labels.tolist() == [True, False]
+
+
+def test_locate_without_a_detector_asks_the_gaussians():
+    result = locate(jax.tree.map(np.asarray, SAVED), MADE.cameras, None)
+    assert result.native is not None
+    assert set(result.masks) == {camera.name for camera in MADE.cameras}
+    assert result.verdict == result.native.verdict
+    told = native_evidence(SAVED)
+    again = locate(SAVED, MADE.cameras, None, native=told)
+    np.testing.assert_array_equal(again.labels, result.labels)
+
+
+def test_locate_with_nothing_to_go_by_says_so():
+    with pytest.raises(ValueError, match="nothing to go by"):
+        locate(SAVED, MADE.cameras, None, native=False)
+    with pytest.raises(ValueError, match="nothing to go by"):
+        locate(SAVED, MADE.cameras, None, config=METHODS["paper"])
+
+
+def said(log_odds: np.ndarray, verdict: float) -> Native:
+    """What Gaussians may have said."""
+    log_odds = np.asarray(log_odds, np.float32)
+    return Native(
+        known=np.ones(len(log_odds), bool),
+        learned=log_odds,
+        learned_verdict=verdict,
+        log_odds=log_odds,
+        base=-3.0,
+        worst=float(log_odds.max()),
+        verdict=verdict,
+        traces=(),
+    )
+
+
+def test_views_that_flag_nothing_speak_against_an_edit_but_not_against_a_certain_one():
+    black = {camera.name: np.zeros((48, 64), np.float32) for camera in MADE.cameras}
+    log_odds = np.where(MADE.labels, 9.0, -5.0)
+    certain = locate(SAVED, MADE.cameras, black, native=said(log_odds, 1 - 1e-6))
+    np.testing.assert_array_equal(certain.labels, MADE.labels)
+    assert "the Gaussians themselves" in certain.warnings[-1]
+    likely = locate(SAVED, MADE.cameras, black, native=said(log_odds, 0.4))
+    assert not likely.labels.any()
+    assert likely.verdict is not None
+    assert likely.verdict < 0.1
+
+
+def test_both_kinds_of_evidence_make_the_verdict():
+    masks = {c.name: truth_mask(SAVED, c, MADE.labels) for c in MADE.cameras}
+    verdicts = [
+        locate(SAVED, MADE.cameras, masks, native=said(np.full(6_000, -3.0), p)).verdict or 0.0
+        for p in (0.1, 0.5, 0.9)
+    ]
+    assert verdicts == sorted(verdicts)
+    plain = locate(SAVED, MADE.cameras, masks, native=False).verdict
+    assert verdicts[1] == pytest.approx(plain)
+
+
+def test_evidence_of_another_scene_is_refused():
+    with pytest.raises(ValueError, match="speaks of 3 Gaussians"):
+        locate(SAVED, MADE.cameras, None, native=said(np.zeros(3), 0.5))
+
+
+@pytest.mark.parametrize("changes", ["flat", "identical"])
+def test_degenerate_attributes_are_no_trouble(changes):
+    some = SAVED.take(np.arange(3_000))
+    scales = np.array(some.log_scales)
+    scales[: 5 if changes == "flat" else None] = -np.inf if changes == "flat" else -3.0
+    opacities = np.array(some.logit_opacities)
+    opacities[:3] = np.inf, -np.inf, 0
+    odd = dataclasses.replace(some, log_scales=scales, logit_opacities=opacities)
+    if changes == "identical":
+        same = np.ones_like(some.quats), np.zeros_like(some.sh), np.zeros(3_000, np.float32)
+        odd = dataclasses.replace(odd, quats=same[0], sh=same[1], logit_opacities=same[2])
+    told = native_evidence(odd)
+    assert np.isfinite(told.log_odds).all()
+    assert np.isfinite(told.verdict)
+
+
+def test_methods_that_have_no_use_for_it_do_not_ask():
+    masks = {camera.name: np.zeros((48, 64), np.float32) for camera in MADE.cameras}
+    assert locate(SAVED, MADE.cameras, masks, method="official").native is None
+    with pytest.raises(InputError, match="No camera has a mask"):
+        locate(SAVED, MADE.cameras, {"elsewhere": np.zeros((4, 4))})

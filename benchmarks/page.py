@@ -55,12 +55,15 @@ def pipeline_list(values: dict) -> str:
     """A line per part of `benchmarks/pipeline.py`."""
     rendered, memory, cold = (values[part] for part in ("rendered", "memory", "cold"))
     sweep, robust, slopes = values["sweep"], values["robust"], values["scaling"]["slopes"]
+    native = values["native"]
     return "\n".join(
         [
             f"- `locate`, 300,000 Gaussians, 100 views of 640x420, given masks: "
             f"{values['locate']['seconds']:.1f} s, compilation included.",
             f"- `robust` after that evidence: {robust['first']:.1f} s with compilation, "
             f"{robust['again']:.1f} s without; `official`: {robust['official']:.1f} s without.",
+            f"- What the Gaussians themselves say: {native['again']:.1f} s once compiled, "
+            f"{native['without_traces']:.1f} s of which without exact traces.",
             f"- The same by rendering and differentiating in every iteration ({rendered['views']} "
             f"views, {rendered['epochs']} epochs): {rendered['rendered']:.1f} s against "
             f"{rendered['evidence']:.1f} s on the evidence, {rendered['ratio']:.1f} times as long.",

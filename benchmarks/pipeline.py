@@ -1,9 +1,9 @@
 """The whole job: 100 views, evidence against rendering every iteration, memory, cold start, sweeps.
 
-    python benchmarks/pipeline.py [--parts locate robust rendered memory cold sweep scaling]
+    python benchmarks/pipeline.py [--parts locate robust native rendered memory cold sweep scaling]
 
 `locate`: 300k Gaussians, 100 views of 640x420, given masks. `robust`: the estimator on that
-evidence. `rendered`: the same optimisation by
+evidence. `native`: what the Gaussians themselves say. `rendered`: the same optimisation by
 rendering and differentiating every iteration. `memory`: 3 million Gaussians and 100 views, peak of
 a process of its own. `cold`: import and first view in new processes, with and without the
 compilation cache. `sweep`: a hundred configurations on evidence computed once, against one.
@@ -18,7 +18,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Literal
 
@@ -29,13 +29,14 @@ import tyro
 
 from gsc_jax import METHODS, RobustConfig, locate, method
 from gsc_jax.detection import as_detector
+from gsc_jax.native import native_evidence
 from gsc_jax.observe import observe
 from gsc_jax.scene import Camera, Gaussians
 from gsc_jax.splat import accumulate
 from gsc_jax.stages import peak_memory_mib
 from gsc_jax.tiles import make_view
 
-Part = Literal["locate", "robust", "rendered", "memory", "cold", "sweep", "scaling"]
+Part = Literal["locate", "robust", "native", "rendered", "memory", "cold", "sweep", "scaling"]
 VIEWS, WIDTH, HEIGHT = 100, 640, 420
 
 
@@ -48,7 +49,16 @@ class Options:
         child: Used by `memory` for its own process.
     """
 
-    parts: tuple[Part, ...] = ("locate", "robust", "rendered", "memory", "cold", "sweep", "scaling")
+    parts: tuple[Part, ...] = (
+        "locate",
+        "robust",
+        "native",
+        "rendered",
+        "memory",
+        "cold",
+        "sweep",
+        "scaling",
+    )
     child: bool = False
 
 
@@ -85,7 +95,7 @@ def locate_seconds(count: int = 300_000) -> dict:
     """Wall time of `locate`, compilation included, and the share of each stage."""
     gaussians, views, masks = many_views(count)
     start = time.perf_counter()
-    result = locate(gaussians, views, masks, config=RobustConfig(tolerance=0.0))
+    result = locate(gaussians, views, masks, config=RobustConfig(tolerance=0.0), native=False)
     return {"seconds": time.perf_counter() - start, "stages": result.stages}
 
 
@@ -103,6 +113,21 @@ def robust_seconds(count: int = 300_000) -> dict:
     again = min(found("robust") for _ in range(3))
     found("official")  # compiles
     return {"first": first, "again": again, "official": min(found("official") for _ in range(3))}
+
+
+def native_seconds(count: int = 300_000) -> dict:
+    """Seconds of the Gaussians' own evidence, its cues and its traces."""
+    gaussians = many_views(count)[0]
+
+    def seconds(function: Callable[[], object]) -> float:
+        start = time.perf_counter()
+        function()
+        return time.perf_counter() - start
+
+    first = seconds(lambda: native_evidence(gaussians))
+    again = min(seconds(lambda: native_evidence(gaussians)) for _ in range(3))
+    alone = min(seconds(lambda: native_evidence(gaussians, exact=False)) for _ in range(3))
+    return {"first": first, "again": again, "without_traces": alone}
 
 
 def rendered_seconds(views_used: int = 20) -> dict:
@@ -271,6 +296,7 @@ PARTS = {
     "cold": cold,
     "sweep": sweep,
     "robust": robust_seconds,
+    "native": native_seconds,
     "scaling": scaling,
 }
 

@@ -104,10 +104,16 @@ def examples(scene: str, edit: Edit, seed: int, data: Path, keep: Path) -> Examp
         }
         with atomic(path) as temporary, temporary.open("wb") as file:
             np.savez(file, **stored)
+    return read_examples(path)
+
+
+def read_examples(path: Path) -> Examples:
+    """What `examples` described before; the file is named after scene, edit and seed."""
+    scene, edit, seed = path.stem.split("-")
     with np.load(path) as stored:
         names = tuple(map(str, stored["names"]))
         values, labels = stored["values"], stored["labels"]
-        pasted = donor_name(scene, seed) if edit == "incorporation" else ""
+        pasted = donor_name(scene, int(seed)) if edit == "incorporation" else ""
         return Examples(
             scene=scene,
             scenes=frozenset({scene, pasted.removeprefix(CUT)}),

@@ -199,14 +199,18 @@ def judged(described: Cues, model: Model) -> np.ndarray:
     """Calibrated log odds of each Gaussian by itself, shape (N,) float32."""
     columns = [described.names.index(name) for name in model.names]
     factor, shift = model.calibration
-    count = len(described.values)
-    raw = np.empty(count, np.float32)
-    for start in range(0, count, BLOCK):
-        block = described.values[start : start + BLOCK, columns]
-        # One shape for all blocks and scenes, so that it is compiled once.
-        padded = np.pad(block, ((0, BLOCK - len(block)), (0, 0)))
-        raw[start : start + BLOCK] = opinion(model.networks, padded)[: len(block)]
+    raw = raw_odds(described.values[:, columns], model.networks)
     return np.clip(factor * raw + shift, -SURE, SURE)
+
+
+def raw_odds(values: np.ndarray, networks: tuple[Layers, ...]) -> np.ndarray:
+    """Raw log odds (N,) of cues (N, F), whatever their number by one compiled function."""
+    raw = np.empty(len(values), np.float32)
+    for start in range(0, len(values), BLOCK):
+        block = values[start : start + BLOCK]
+        padded = np.pad(block, ((0, BLOCK - len(block)), (0, 0)))
+        raw[start : start + BLOCK] = opinion(networks, padded)[: len(block)]
+    return raw
 
 
 @jax.jit

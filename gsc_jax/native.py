@@ -147,6 +147,7 @@ def find_native(native: Native, config: RobustConfig, against: float = 0.0) -> F
     That the calibrated probabilities are mostly small says how often scenes like this one are
     misjudged. Given that something was edited, it is what stands out here: Gaussians are labelled
     that are more suspicious than a share `LEVEL` of the way from the base rate to the worst part.
+    Where an exact trace says what was edited, more than even odds are asked of the rest.
 
     Args:
         native: What the Gaussians say, N of them.
@@ -158,6 +159,8 @@ def find_native(native: Native, config: RobustConfig, against: float = 0.0) -> F
     """
     certain = both(native.verdict, -against)
     level = native.base + LEVEL * max(native.worst - native.base, 0.0)
+    if any(trace.found for trace in native.traces):
+        level = max(level, 0.0)
     attribute = np.where(native.known, native.log_odds - level, 0).astype(np.float32)
     tamper = np.where(native.known, jax.nn.sigmoid(attribute), 0).astype(np.float32)
     labels = (tamper > config.threshold) & (certain >= config.doubt)

@@ -133,8 +133,9 @@ def lattice(gaussians: Gaussians, *, neighbours: np.ndarray | None = None) -> Tr
 
     In each component, a value is off the lattice if it is rare between common ones, or if it is
     one of a block of values that neighbours share with each other but not with the scene. A row is
-    odd in a group of components if most of them are. Positions are left out: their lattices are so
-    fine that sparse parts of a scene look free of them. See `traces` for the arguments.
+    odd in a group of components if most of them are. Positions are left out, whose lattices are so
+    fine that sparse parts of a scene look free of them; and rotations, which some exporters scale
+    to unit length after rounding. See `traces` for the arguments.
     """
     if neighbours is None:
         neighbours = neighbours_of(gaussians)
@@ -142,7 +143,6 @@ def lattice(gaussians: Gaussians, *, neighbours: np.ndarray | None = None) -> Tr
     score = np.zeros(len(usable), np.float32)
     groups = {
         "scales": gaussians.log_scales,
-        "rotations": gaussians.quats,
         "colours": gaussians.sh[:, 0],
     }
     off = {
@@ -150,7 +150,7 @@ def lattice(gaussians: Gaussians, *, neighbours: np.ndarray | None = None) -> Tr
         for name, columns in groups.items()
     }
     # A tile of an export has codebooks of its own for all, an edit changes one or takes the other
-    # way: what was pasted and turned has free rotations.
+    # way.
     tile = np.all([off[name][:, 1].mean(axis=0) > 0.5 for name in ("scales", "colours")], axis=0)
     names = []
     for name, marks in off.items():

@@ -184,7 +184,7 @@ def test_both_kinds_of_evidence_make_the_verdict():
         locate(SAVED, MADE.cameras, masks, native=said(np.full(6_000, -3.0), p)).verdict or 0.0
         for p in (0.1, 0.5, 0.9)
     ]
-    assert verdicts == sorted(verdicts)
+    assert verdicts[0] == verdicts[1] < verdicts[2], "what does not show is no evidence"
     plain = locate(SAVED, MADE.cameras, masks, native=False).verdict
     assert verdicts[1] == pytest.approx(plain)
 

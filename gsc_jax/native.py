@@ -84,7 +84,7 @@ class Native:
 
     @property
     def prior(self) -> Prior:
-        """What this is to the robust estimator: no edit need show, so silence counts for nothing."""
+        """What this is to the robust estimator: edits need not show, so silence says nothing."""
         certain = min(max(self.verdict, 0.5), 1 - 1e-6)
         return Prior(log_odds=self.log_odds, scene=math.log(certain / (1 - certain)))
 

@@ -35,7 +35,7 @@ bench: $(VENV)/installed
 
 results: $(VENV)/installed
 	$(BIN)/python experiments/train_cues.py --keep .cues --out .cues/all.npz
-	for name in native editing beyond calibration enough ablation robustness authentic parsimony stability speed_accuracy real_scenes; do \
+	for name in native importance native_real editing beyond calibration enough ablation robustness authentic parsimony stability speed_accuracy real_scenes; do \
 	  $(BIN)/python experiments/$$name.py || exit 1; done
 	$(BIN)/python experiments/backbones.py --seeds 1
 

@@ -211,16 +211,18 @@ def evenly(cameras: Sequence[Camera], count: int) -> list[Camera]:
 
 
 def _write_overview(path: Path, renders: dict[str, np.ndarray], result: Result) -> None:
-    """The first views that the detector judged, if it judged any of those rendered."""
+    """The first views that a 2D detector judged, if it judged any of those rendered."""
     judged = [name for name in renders if name in result.detections] or list(renders)
     step = -(-len(judged) // MOST_ROWS)
     names = judged[::step]
     rows = []
     for name in names:
         image = renders[name]
-        said = result.detections.get(name, np.zeros(image.shape[:2], np.float16))
-        rows.append([image, said, overlay(image, result.masks[name])])
-    contact_sheet(path, rows, titles=("render", "2D detector", "found"), labels=names)
+        blank = np.zeros(image.shape[:2], np.float16)
+        said = [result.detections.get(name, blank)] if result.detections else []
+        rows.append([image, *said, overlay(image, result.masks[name])])
+    detector = ["2D detector"] if result.detections else []
+    contact_sheet(path, rows, titles=("render", *detector, "found"), labels=names)
 
 
 def _view(camera: Camera, result: Result) -> dict[str, Any]:

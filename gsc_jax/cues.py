@@ -227,17 +227,28 @@ def copies(gaussians: Gaussians) -> np.ndarray:
     """
     from scipy.spatial import KDTree
 
+    described = appearance(gaussians)
     # Trees degenerate where many points are one.
-    distinct, which, counts = np.unique(
-        appearance(gaussians), axis=0, return_inverse=True, return_counts=True
+    _, first, which, counts = np.unique(
+        hashed(described), return_index=True, return_inverse=True, return_counts=True
     )
+    distinct = described[first]
     found = np.zeros(len(distinct))
     if len(distinct) > 1:
         tree = KDTree(distinct, compact_nodes=False, balanced_tree=False)
         query = tree.query(distinct, k=2, distance_upper_bound=RADIUS, workers=WORKERS)
         found = np.where(counts > 1, 0.0, query[0][:, 1])
-    close = 1 - np.minimum(found, RADIUS)[which.reshape(-1)] / RADIUS
+    close = 1 - np.minimum(found, RADIUS)[which] / RADIUS
     return np.column_stack([close, close > 0]).astype(np.float32)
+
+
+def hashed(rows: np.ndarray) -> np.ndarray:
+    """A number per row, the same for equal rows and another for others, shape (N,) uint64."""
+    keys = np.random.default_rng(0).integers(1, 2**63, rows.shape[1], dtype=np.uint64) | np.uint64(
+        1
+    )
+    bits = (rows.astype(np.float32) + 0.0).view(np.uint32)  # -0 and 0 are equal
+    return (bits.astype(np.uint64) * keys).sum(axis=1, dtype=np.uint64)
 
 
 def select(names: Sequence[str], group: str) -> np.ndarray:

@@ -20,6 +20,7 @@ from gsc_jax.finding import Finding
 from gsc_jax.neighbourhoods import parts
 from gsc_jax.robust import Prior, RobustConfig, both
 from gsc_jax.scene import Gaussians, invalid_rows
+from gsc_jax.traces import NEIGHBOURS as ASKED
 from gsc_jax.traces import Trace, combined, traces
 
 MODEL = "cues.npz"
@@ -119,13 +120,15 @@ def native_evidence(
     known = ~np.any(list(invalid_rows(host).values()), axis=0)
     sound = np.flatnonzero(known)
     learned = np.full(len(host), model.base, np.float32)
-    worst = model.base
-    found = traces(host) if exact else ()
+    worst, neighbours = model.base, None
     if len(sound) > NEIGHBOURS:
         usable = host.take(sound)
         described = cues(usable)
         learned[sound] = opinions(described, model)
+        neighbours = np.tile(np.arange(len(host))[:, None], (1, ASKED))
+        neighbours[sound] = sound[described.around.nearest[:, :ASKED]]
         worst = worst_part(learned[sound], usable.means)
+    found = traces(host, neighbours=neighbours) if exact else ()
     factor, shift = model.scene
     verdict = float(jax.nn.sigmoid(factor * worst + shift))
     certain = max((float(trace.score.max(initial=0)) for trace in found), default=0.0)

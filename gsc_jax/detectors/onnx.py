@@ -17,6 +17,7 @@ import numpy as np
 
 from gsc_jax.detectors.fitting import crop_map, fit_image, remap, to_tensor
 from gsc_jax.detectors.onnx_spec import PLAIN, PRESETS, OnnxSpec, preset
+from gsc_jax.detectors.ports import FLOATS, shape_text
 from gsc_jax.detectors.session import CPU, fingerprint, one_line, open_session
 from gsc_jax.errors import InputError
 from gsc_jax.scene import Camera
@@ -25,8 +26,6 @@ __all__ = ["PRESETS", "OnnxDetector", "OnnxSpec"]
 
 PROBABILITY_TOLERANCE = 1e-3
 """How far outside [0, 1] half-precision or resampling inside a network may put a probability."""
-
-FLOATS = {"tensor(float)": np.float32, "tensor(float16)": np.float16}
 
 
 class OnnxDetector:
@@ -158,7 +157,8 @@ class OnnxDetector:
         if len(shape) != 4 or 3 in spatial or any(map(_excludes, shape, wanted)):
             raise InputError(
                 f"{self.path}: input {self._input!r} is {_described(tensor)}, the spec expects "
-                f"{_shape(wanted)}; change size or layout of the spec, or export it for that shape"
+                f"{shape_text(wanted)}; change size or layout of the spec, or export it for that "
+                "shape"
             )
         height, width = (
             found if isinstance(found, int) else side
@@ -187,7 +187,7 @@ class OnnxDetector:
 
     def _check_map(self, name: str, shape: Sequence[int | str | None]):
         """Whether a shape, of which some sides may be open, can hold the map that the spec says."""
-        found = f"{self.path}: output {name!r} has shape {_shape(shape)}"
+        found = f"{self.path}: output {name!r} has shape {shape_text(shape)}"
         if len(shape) not in (2, 3, 4) or (len(shape) == 4 and _excludes(shape[0], 1)):
             raise InputError(f"{found}, expected one map: [1, channels, height, width]")
         axis = self._channel_axis(len(shape))
@@ -217,8 +217,8 @@ class OnnxDetector:
         ]
         if self.spec.fit == "none" and target != [height, width]:
             raise InputError(
-                f"{self.path}: input {self._input!r} takes images of {_shape(target)}, found "
-                f"{_shape([height, width])}; set fit to resize or pad in the spec"
+                f"{self.path}: input {self._input!r} takes images of {shape_text(target)}, found "
+                f"{shape_text([height, width])}; set fit to resize or pad in the spec"
             )
         return target[0], target[1]
 
@@ -234,7 +234,7 @@ class OnnxDetector:
         except Exception as trouble:  # onnxruntime's errors have no common base class
             raise InputError(
                 f"{self.path}: the model fails on view {view!r} with input "
-                f"{_shape(feed.shape)}: {one_line(trouble)}; change size, multiple_of or layout"
+                f"{shape_text(feed.shape)}: {one_line(trouble)}; change size, multiple_of or layout"
             ) from trouble
         return np.asarray(raw, np.float32)
 
@@ -250,8 +250,8 @@ class OnnxDetector:
         crooked = abs(height * target[1] - width * target[0]) > max(target)
         if not planes.size or (raw.ndim < 4 and crooked):
             raise InputError(
-                f"{self.path}: output {self._output!r} has shape {_shape(raw.shape)}, no map of "
-                f"an input of {_shape(target)}; change output in the spec"
+                f"{self.path}: output {self._output!r} has shape {shape_text(raw.shape)}, no map "
+                f"of an input of {shape_text(target)}; change output in the spec"
             )
         return planes
 
@@ -287,9 +287,4 @@ def _excludes(found: int | str | None, expected: int | str) -> bool:
 
 def _described(tensor: Any) -> str:
     """Type and shape of an input or output of a session."""
-    return f"{tensor.type} of shape {_shape(tensor.shape)}"
-
-
-def _shape(shape: Sequence[int | str | None]) -> str:
-    """A shape for people, "?" where it is open."""
-    return "[" + ", ".join("?" if side is None else str(side) for side in shape) + "]"
+    return f"{tensor.type} of shape {shape_text(tensor.shape)}"

@@ -6,7 +6,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: help demo test lint bench results clean
+.PHONY: help demo test lint bench results docs clean
 
 help:
 	@echo 'make demo    find a pasted object in a made scene; pictures go to demo/'
@@ -14,6 +14,7 @@ help:
 	@echo 'make lint    ruff and pyright'
 	@echo 'make bench   speed of splatting on this machine'
 	@echo 'make results every table and chart of docs/results.md (three to four hours)'
+	@echo 'make docs    the documentation as a site, in site/; its pictures are made again'
 	@echo 'make clean   remove .venv, demo/ and caches'
 	@echo 'Another interpreter: make test PYTHON=python3.12'
 
@@ -39,8 +40,12 @@ results: $(VENV)/installed
 	  $(BIN)/python experiments/$$name.py || exit 1; done
 	$(BIN)/python experiments/backbones.py --seeds 1
 
+docs: $(VENV)/installed-dev
+	$(BIN)/python docs/pictures.py
+	$(BIN)/mkdocs build --strict
+
 clean:
-	rm -rf $(VENV) demo build dist *.egg-info .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) demo site build dist *.egg-info .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(VENV)/installed: pyproject.toml

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 import hypothesis
 import jax
 import pytest
+from browser import CHROMIUM, DRIVER, Browser, opened
 
 COMPILED: list[str] = []
 
@@ -45,3 +46,11 @@ def count_compilations() -> Callable[[], contextlib.AbstractContextManager[list[
         compiled += COMPILED[before:]
 
     return counting
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    """A headless browser for the tests of one file."""
+    if not (CHROMIUM and DRIVER):
+        pytest.skip("no browser: Debian's packages chromium and chromium-driver are not installed")
+    yield from opened(tmp_path_factory.mktemp("browser"))

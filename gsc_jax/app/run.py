@@ -15,14 +15,8 @@ import numpy as np
 
 from gsc_jax.app.cache import default_cache
 from gsc_jax.app.options import Locate, Look, Render
-from gsc_jax.app.outputs import (
-    Located,
-    evenly,
-    refuse_overlap,
-    replacing,
-    write_report,
-    write_results,
-)
+from gsc_jax.app.outputs import Located, evenly, write_report, write_results
+from gsc_jax.app.publish import refuse_overlap, replacing
 from gsc_jax.detection import Detector
 from gsc_jax.detectors.cached import CachedDetector
 from gsc_jax.detectors.folder import FolderDetector

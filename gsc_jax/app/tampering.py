@@ -13,15 +13,9 @@ import jax
 import numpy as np
 
 from gsc_jax.app.options import Tamper
-from gsc_jax.app.outputs import (
-    evenly,
-    files_below,
-    plain,
-    refuse_overlap,
-    replacing,
-    versions,
-)
+from gsc_jax.app.outputs import evenly, plain, versions
 from gsc_jax.app.pictures import contact_sheet, overlay
+from gsc_jax.app.publish import files_below, refuse_overlap, replacing
 from gsc_jax.app.run import about, check_look, chosen_cameras, load_scene
 from gsc_jax.benchmark.metrics import truth_mask
 from gsc_jax.benchmark.pasting import extent

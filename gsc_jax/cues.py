@@ -21,6 +21,10 @@ from gsc_jax.twins import RADIUS, appearance
 NEIGHBOURS = 16
 FLATTEST = -30.0
 """Log scales below this are all alike."""
+SURROUNDINGS = ("own", "mean", "spread", "second", "fourth")
+"""Of each number: itself, over the neighbours, over theirs, and over the neighbours' of those."""
+AT_A_TIME = 8
+"""Columns that are averaged over neighbourhoods at once."""
 CLIP = 6.0
 """Units of MAD beyond which it does not matter how far off a value is."""
 
@@ -57,30 +61,37 @@ def cues(gaussians: Gaussians) -> Cues:
     around = neighbourhoods(means, NEIGHBOURS)
     groups = own_cues(gaussians, around)
     groups["copies"] = copies(gaussians)
-    own = np.concatenate(
-        [values if name == "copies" else standardised(values) for name, values in groups.items()],
-        axis=1,
-    )
     names = [f"{name}.{i}" for name, values in groups.items() for i in range(values.shape[1])]
-    columns = {"own": own, **pooled(own, around)}
     return Cues(
-        values=np.concatenate([*columns.values()], axis=1, dtype=np.float32),
-        names=tuple(f"{name}.{label}" for label in columns for name in names),
+        values=pooled(_own(groups), around),
+        names=tuple(f"{name}.{label}" for label in SURROUNDINGS for name in names),
         around=around,
     )
 
 
-def pooled(own: np.ndarray, around: Neighbourhoods) -> dict[str, np.ndarray]:
-    """Means and spreads over the neighbours, and means over theirs, and over those of theirs."""
-    first = around.mean @ own
-    second = around.mean @ first
-    fourth = around.mean @ (around.mean @ second)
-    return {
-        "mean": first,
-        "spread": around.spread(own, first),
-        "second": second,
-        "fourth": fourth,
-    }
+def _own(groups: dict[str, np.ndarray]) -> np.ndarray:
+    """All groups in one table, shape (N, D); takes them out of their dictionary."""
+    columns = []
+    for name in list(groups):
+        values = groups.pop(name)
+        columns.append(values if name == "copies" else standardised(values))
+    return np.concatenate(columns, axis=1, dtype=np.float32)
+
+
+def pooled(own: np.ndarray, around: Neighbourhoods) -> np.ndarray:
+    """With means and spreads over the neighbours, and means over theirs, and theirs, (N, 5 D)."""
+    # One table, filled a few columns at a time: of millions of Gaussians it is the largest thing.
+    count, width = own.shape
+    table = np.empty((count, len(SURROUNDINGS), width), np.float32)
+    for start in range(0, width, AT_A_TIME):
+        some = slice(start, start + AT_A_TIME)
+        mine = own[:, some]
+        first = around.mean @ mine
+        second = around.mean @ first
+        fourth = around.mean @ (around.mean @ second)
+        for i, values in enumerate((mine, first, around.spread(mine, first), second, fourth)):
+            table[:, i, some] = values
+    return table.reshape(count, -1)
 
 
 def standardised(values: np.ndarray) -> np.ndarray:

@@ -123,10 +123,9 @@ def native_evidence(
     worst, neighbours = model.base, None
     if len(sound) > NEIGHBOURS:
         usable = host.take(sound)
-        described = cues(usable)
-        learned[sound] = opinions(described, model)
+        learned[sound], nearest = _learned(usable, model)
         neighbours = np.tile(np.arange(len(host))[:, None], (1, ASKED))
-        neighbours[sound] = sound[described.around.nearest[:, :ASKED]]
+        neighbours[sound] = sound[nearest]
         worst = worst_part(learned[sound], usable.means)
     found = traces(host, neighbours=neighbours) if exact else ()
     factor, shift = model.scene
@@ -142,6 +141,12 @@ def native_evidence(
         verdict=1 - (1 - verdict) * (1 - certain),
         traces=tuple(found),
     )
+
+
+def _learned(usable: Gaussians, model: Model) -> tuple[np.ndarray, np.ndarray]:
+    """The opinion on each, (N,), and who is near it, (N, `ASKED`); the cues are let go."""
+    described = cues(usable)
+    return opinions(described, model), described.around.nearest[:, :ASKED].copy()
 
 
 def find_native(native: Native, config: RobustConfig, against: float = 0.0) -> Finding:
@@ -205,15 +210,17 @@ def judged(described: Cues, model: Model) -> np.ndarray:
     """Calibrated log odds of each Gaussian by itself, shape (N,) float32."""
     columns = [described.names.index(name) for name in model.names]
     factor, shift = model.calibration
-    raw = raw_odds(described.values[:, columns], model.networks)
+    raw = raw_odds(described.values, model.networks, columns)
     return np.clip(factor * raw + shift, -SURE, SURE)
 
 
-def raw_odds(values: np.ndarray, networks: tuple[Layers, ...]) -> np.ndarray:
-    """Raw log odds (N,) of cues (N, F), whatever their number by one compiled function."""
+def raw_odds(
+    values: np.ndarray, networks: tuple[Layers, ...], columns: Sequence[int] | slice = slice(None)
+) -> np.ndarray:
+    """Raw log odds (N,) of columns of cues (N, F), whatever N by one compiled function."""
     raw = np.empty(len(values), np.float32)
     for start in range(0, len(values), BLOCK):
-        block = values[start : start + BLOCK]
+        block = values[start : start + BLOCK, columns]
         padded = np.pad(block, ((0, BLOCK - len(block)), (0, 0)))
         raw[start : start + BLOCK] = opinion(networks, padded)[: len(block)]
     return raw

@@ -67,7 +67,7 @@ def pipeline_list(values: dict) -> str:
             f"- The same by rendering and differentiating in every iteration ({rendered['views']} "
             f"views, {rendered['epochs']} epochs): {rendered['rendered']:.1f} s against "
             f"{rendered['evidence']:.1f} s on the evidence, {rendered['ratio']:.1f} times as long.",
-            f"- 3 million Gaussians and 100 views: {memory['seconds']:.0f} s, peak "
+            f"- 3 million Gaussians, asked themselves too, and 100 views: {memory['seconds']:.0f} s, peak "
             f"{memory['peak_gib']:.1f} GiB, of which at most {memory['anonymous_gib']:.1f} GiB is "
             "not the file of the evidence.",
             f"- Import {cold['import']:.2f} s; first view {cold['first view']:.1f} s, in the next "

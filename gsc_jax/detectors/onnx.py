@@ -18,7 +18,7 @@ import numpy as np
 from gsc_jax.detectors.fitting import crop_map, fit_image, remap, to_tensor
 from gsc_jax.detectors.onnx_spec import PLAIN, PRESETS, OnnxSpec, preset
 from gsc_jax.detectors.ports import FLOATS, shape_text
-from gsc_jax.detectors.session import CPU, fingerprint, one_line, open_session
+from gsc_jax.detectors.session import CPU, fingerprint, one_line, open_session, some
 from gsc_jax.errors import InputError
 from gsc_jax.scene import Camera
 
@@ -74,9 +74,7 @@ class OnnxDetector:
         Raises:
             InputError: If there are none.
         """
-        if not cameras:
-            raise InputError(f"{self.path}: there are no cameras to run the detector on")
-        return list(cameras)
+        return some(cameras, self.path)
 
     def __call__(self, image: np.ndarray | None, camera: Camera) -> np.ndarray:
         """The probability of tampering in a view, remapped so that 0.5 is the spec's threshold.

@@ -33,7 +33,7 @@ from gsc_jax.detectors import sources
 from gsc_jax.detectors.fitting import fit_image, to_tensor
 from gsc_jax.detectors.onnx_spec import OnnxSpec
 from gsc_jax.detectors.ports import NUMBERS, Network, Port, compatible, shape_text
-from gsc_jax.detectors.session import CPU, fingerprint
+from gsc_jax.detectors.session import CPU, fingerprint, some
 from gsc_jax.errors import InputError
 from gsc_jax.scene import Camera
 
@@ -116,9 +116,7 @@ class SafireDetector:
         Raises:
             InputError: If there are none.
         """
-        if not cameras:
-            raise InputError(f"{self.encoder}: there are no cameras to run the detector on")
-        return list(cameras)
+        return some(cameras, self.encoder)
 
     def __call__(self, image: np.ndarray | None, camera: Camera) -> np.ndarray:
         """The probability of tampering in a view.

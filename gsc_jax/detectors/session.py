@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from gsc_jax.detectors.external import external_files
 from gsc_jax.errors import InputError
+from gsc_jax.scene import Camera
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
@@ -116,6 +117,13 @@ def fingerprint(path: Path, *facts: object) -> str:
         with part.open("rb") as file:
             digest.update(hashlib.file_digest(file, hashlib.blake2b).digest())
     return digest.hexdigest()
+
+
+def some(cameras: Sequence[Camera], model: Path) -> list[Camera]:
+    """All the cameras; raises InputError, naming the model, when there are none."""
+    if not cameras:
+        raise InputError(f"{model}: there are no cameras to run the detector on")
+    return list(cameras)
 
 
 def one_line(trouble: Exception) -> str:

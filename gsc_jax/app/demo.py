@@ -130,7 +130,7 @@ def run_demo(
         *_by_scene(verdicts, before),
         "",
         f"look at  {options.out / 'heldout.png'}: the truth beside what was found",
-        *(f"         {options.out / name / 'overview.png'}" for name in (*RUNS, *before)),
+        *(f"         {options.out / name / 'report.html'}" for name in (*RUNS, *before)),
         f"again    {sys.argv[0]} locate {given / 'scene.ply'} --cameras {given / 'cameras.json'} "
         f"--masks {given / 'masks'} --out found",
     ]

@@ -1,4 +1,9 @@
-"""What `locate` leaves in its folder: scenes, masks, pictures for people, numbers for programs."""
+"""What `locate` leaves in its folder: scenes, masks, pictures for people, numbers for programs.
+
+The pictures for people are JPEG, of every view: a report that lacks the one view that somebody asks
+about is of no use. Rendering them at the size of thumbnails would cost as much, since most of the
+time goes into sorting the Gaussians. What is measured later is PNG.
+"""
 
 import dataclasses
 import importlib.metadata
@@ -6,88 +11,99 @@ import json
 import math
 import platform
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 
-from gsc_jax.app.pictures import contact_sheet, overlay
+from gsc_jax.app.located import Located
+from gsc_jax.app.pictures import contact_sheet, jpeg_path, overlay, write_jpeg
 from gsc_jax.app.publish import files_below
+from gsc_jax.app.report import report_page
 from gsc_jax.io.files import atomic
-from gsc_jax.io.masks import image_path, write_image, write_mask, write_probability
+from gsc_jax.io.masks import image_path, write_mask, write_probability
 from gsc_jax.io.ply import PlyScene, save_highlight, save_tampered
 from gsc_jax.locate import Result
-from gsc_jax.scene import Camera
+from gsc_jax.parallel import WORKERS, ahead
+from gsc_jax.scene import Camera, Gaussians
 from gsc_jax.splat import render
-from gsc_jax.stages import Progress
+from gsc_jax.stages import Progress, silent
 
 PACKAGES = ("gsc_jax", "numpy", "jax", "jaxlib", "optax")
-MOST_OVERLAYS, MOST_ROWS = 8, 4
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Located:
-    """A finished run of `locate`: the scene file, the cameras looked from, and what was found."""
-
-    scene: PlyScene
-    cameras: list[Camera]
-    result: Result
-    stages: dict[str, dict[str, float]]
-    seconds: float
-    warnings: list[str]
-
-    @property
-    def visible_share(self) -> float:
-        """Mean share of a view that is tampered."""
-        return float(np.mean([mask.mean() for mask in self.result.masks.values()]))
+MOST_PICTURES, MOST_ROWS = 8, 4
+"""Of the overview: views that are held for it, and those shown."""
 
 
 def write_results(
-    folder: Path, scene: PlyScene, cameras: Sequence[Camera], result: Result, *, progress: Progress
+    folder: Path,
+    scene: PlyScene,
+    cameras: Sequence[Camera],
+    result: Result,
+    *,
+    pictured: int | None = None,
+    progress: Progress,
 ) -> None:
-    """Writes all of the results but result.json.
+    """Writes all of the results but the reports, report.html and result.json.
 
     Args:
         folder: Where to.
         scene: The scene as it was read.
         cameras: The cameras that have a mask in the result.
         result: What was found.
+        pictured: How many of the views are rendered for people, evenly spread; by default all.
         progress: Called with (stage, done, total).
     """
-    pictured = evenly(cameras, MOST_OVERLAYS)
-    steps = len(result.masks) + len(pictured)
-    progress("write", 0, steps)
-    save_tampered(folder / "tamper.ply", scene, result.tamper)
-    save_highlight(folder / "highlight.ply", scene.gaussians, result.labels)
-    _save_array(folder / "labels.npy", scene.expand(result.labels))
-    _save_array(folder / "tamper.npy", scene.expand(result.tamper))
-    for done, (name, mask) in enumerate(result.masks.items(), start=1):
-        write_mask(image_path(folder / "masks", name), mask)
-        if name in result.detections:
-            write_probability(image_path(folder / "detector", name), result.detections[name])
-        progress("write", done, steps)
-    renders, gaussians = {}, jax.device_put(scene.gaussians)
-    for done, camera in enumerate(pictured, start=len(result.masks) + 1):
-        image = np.asarray(render(gaussians, camera, near=result.config.near)[0])
-        renders[camera.name] = image
-        marked = overlay(image, result.masks[camera.name])
-        write_image(image_path(folder / "overlay", camera.name), marked)
-        progress("write", done, steps)
-    _write_overview(folder / "overview.png", renders, result)
+    shown = list(cameras) if pictured is None else evenly(cameras, pictured)
+    kept = {camera.name for camera in evenly(shown, MOST_PICTURES)}
+    progress("write", 0, len(cameras))
+    _write_scenes(folder, scene, result)
+    gaussians = jax.device_put(scene.gaussians)
+    names = {camera.name for camera in shown}
+    renders: dict[str, np.ndarray] = {}
+
+    def written(camera: Camera) -> np.ndarray | None:
+        _write_masks(folder, camera, result)
+        return _write_pictures(folder, gaussians, camera, result) if camera.name in names else None
+
+    with ThreadPoolExecutor(WORKERS) as pool:
+        images = zip(cameras, ahead(pool, written, cameras), strict=True)
+        for done, (camera, image) in enumerate(images, start=1):
+            if image is not None and camera.name in kept:
+                renders[camera.name] = image
+            progress("write", done, len(cameras))
+    if renders:
+        _write_overview(folder / "overview.png", renders, result)
 
 
-def write_report(folder: Path, command: dict[str, Any], located: Located) -> None:
-    """Writes result.json: how the run was configured and what it found, in numbers.
+def write_report(
+    folder: Path, command: dict[str, Any], located: Located, *, progress: Progress = silent
+) -> None:
+    """Writes report.html for people, and result.json, the same in numbers.
 
     Args:
         folder: Where to; what lies in it is listed.
         command: The arguments of the command line.
         located: The run.
+        progress: Called with (stage, done, total).
     """
+    outputs = sorted([*files_below(folder), "report.html", "result.json"])
+    report = plain({**_numbers(command, located), "outputs": outputs})
+    page = report_page(folder, report, located, progress=progress)
+    with atomic(folder / "report.html") as temporary:
+        temporary.write_text(page, encoding="utf-8")
+    with atomic(folder / "result.json") as temporary:
+        text = json.dumps(report, indent=2, allow_nan=False, ensure_ascii=False)
+        temporary.write_text(text + "\n", encoding="utf-8")
+
+
+def _numbers(command: dict[str, Any], located: Located) -> dict[str, Any]:
+    """How the run was configured and what it found."""
     result, scene = located.result, located.scene
     seen = int(result.seen.sum())
-    report = {
+    return {
         "command": command,
         "method": result.method,
         "config": dataclasses.asdict(result.config),
@@ -116,11 +132,35 @@ def write_report(folder: Path, command: dict[str, Any], located: Located) -> Non
         "stages": located.stages,
         "warnings": located.warnings,
         "versions": versions(),
-        "outputs": sorted([*files_below(folder), "result.json"]),
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
     }
-    with atomic(folder / "result.json") as temporary:
-        text = json.dumps(plain(report), indent=2, allow_nan=False, ensure_ascii=False)
-        temporary.write_text(text + "\n", encoding="utf-8")
+
+
+def _write_scenes(folder: Path, scene: PlyScene, result: Result) -> None:
+    """What was found, by Gaussian."""
+    save_tampered(folder / "tamper.ply", scene, result.tamper)
+    save_highlight(folder / "highlight.ply", scene.gaussians, result.labels)
+    _save_array(folder / "labels.npy", scene.expand(result.labels))
+    _save_array(folder / "tamper.npy", scene.expand(result.tamper))
+
+
+def _write_masks(folder: Path, camera: Camera, result: Result) -> None:
+    """The final mask of a view, and what the detector said."""
+    name = camera.name
+    write_mask(image_path(folder / "masks", name), result.masks[name])
+    if name in result.detections:
+        write_probability(image_path(folder / "detector", name), result.detections[name])
+
+
+def _write_pictures(
+    folder: Path, gaussians: Gaussians, camera: Camera, result: Result
+) -> np.ndarray:
+    """Writes a view as it is and with what was found marked, and gives its render."""
+    image = np.asarray(render(gaussians, camera, near=result.config.near)[0])
+    write_jpeg(jpeg_path(folder / "render", camera.name), image)
+    marked = overlay(image, result.masks[camera.name])
+    write_jpeg(jpeg_path(folder / "overlay", camera.name), marked)
+    return image
 
 
 def evenly(cameras: Sequence[Camera], count: int) -> list[Camera]:

@@ -10,11 +10,14 @@ from pathlib import Path
 import numpy as np
 
 from gsc_jax.io.files import atomic
+from gsc_jax.io.masks import image_path
 
 TINT = np.array([1.0, 0.0, 0.4], np.float32)
 TINT_STRENGTH = 0.45
 LIGHT, DARK = np.array([1.0, 0.95, 0.2], np.float32), np.zeros(3, np.float32)
 CELL_INCHES, CELL_DPI = 3.2, 110
+QUALITY = 90
+"""Of a JPEG that is looked at closely; colours are kept at full size, for outlines."""
 
 
 def overlay(rgb: np.ndarray, mask: np.ndarray) -> np.ndarray:
@@ -36,6 +39,29 @@ def overlay(rgb: np.ndarray, mask: np.ndarray) -> np.ndarray:
     picture[halo] = 0.4 * picture[halo] + 0.6 * DARK
     picture[outline] = LIGHT
     return picture
+
+
+def jpeg_path(folder: str | Path, name: str) -> Path:
+    """Where the picture of a camera goes that is only looked at: `image_path`, but .jpg."""
+    return image_path(folder, name).with_suffix(".jpg")
+
+
+def write_jpeg(path: str | Path, rgb: np.ndarray) -> None:
+    """Writes a picture that is only looked at, with the folders that its path names.
+
+    Args:
+        path: The .jpg to write or to replace.
+        rgb: Colours, clipped to [0, 1], shape (H, W, 3).
+
+    Raises:
+        InputError: if the file cannot be written.
+    """
+    from PIL import Image
+    from skimage.util import img_as_ubyte
+
+    picture = Image.fromarray(img_as_ubyte(np.clip(np.asarray(rgb, np.float32), 0, 1)))
+    with atomic(path) as temporary:
+        picture.save(temporary, quality=QUALITY, subsampling=0)
 
 
 def contact_sheet(

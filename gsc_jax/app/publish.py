@@ -2,22 +2,31 @@
 
 A run that fails, or is interrupted, leaves the folder as it was. One that succeeds replaces what
 the run before wrote: also masks of cameras that are no longer used, so that what lies in the folder
-belongs together. Nothing else in the folder is touched, and never what this run was given.
+belongs together. Nothing else in the folder is touched, and never what this run was given. What a
+run that was killed could not remove, a later one does, once it is so old that nobody works on it.
 """
 
 import contextlib
 import json
 import shutil
 import tempfile
+import time
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path, PurePosixPath
 
+from gsc_jax.app.patience import uninterrupted
 from gsc_jax.errors import InputError
 
-BY_CAMERA = ("masks", "detector", "overlay")
+UNFINISHED = ".unfinished-"
+"""How the folders are called in which results are collected."""
+ABANDONED_SECONDS = 24 * 3600
+"""After which one that nothing was added to is somebody's no longer."""
+BY_CAMERA = ("masks", "detector", "render", "overlay")
 """Folders with a picture per camera, of which some may be left over from another run."""
 
-OUTPUTS = ("tamper.ply", "highlight.ply", "masks", "detector", "overlay")
+PICTURES = (".png", ".jpg")
+"""How the files in them end."""
+OUTPUTS = ("tamper.ply", "highlight.ply", *BY_CAMERA)
 """What could be an input as well."""
 
 
@@ -69,14 +78,20 @@ def replacing(
     made = not out.exists()
     try:
         out.mkdir(parents=True, exist_ok=True)
-        folder = Path(tempfile.mkdtemp(prefix=".unfinished-", dir=out))
+        _remove_abandoned(out)
+        folder = Path(tempfile.mkdtemp(prefix=UNFINISHED, dir=out))
     except OSError as error:
         raise InputError(f"{out}: {_cannot(error)}") from error
     try:
-        yield folder
-        leftovers = set(_earlier(out / report, by_camera)).difference(files_below(folder))
-        _publish(folder, out, report)
-        _remove(out, leftovers, keep)
+        try:
+            yield folder
+        except KeyboardInterrupt as stop:
+            stop.add_note(f"nothing was changed in {out}")
+            raise
+        with uninterrupted():
+            leftovers = set(_earlier(out / report, by_camera)).difference(files_below(folder))
+            _publish(folder, out, report)
+            _remove(out, leftovers, keep)
     except InputError as error:
         raise InputError(str(error).replace(str(folder), str(out))) from error
     finally:
@@ -114,6 +129,14 @@ def _remove(out: Path, leftovers: Iterable[str], keep: Sequence[Path]) -> None:
         raise InputError(f"{out}: {_cannot(error)}") from error
 
 
+def _remove_abandoned(out: Path) -> None:
+    """Removes what runs have left that were killed."""
+    for folder in out.glob(f"{UNFINISHED}*"):
+        with contextlib.suppress(OSError):  # another run may be removing it, too
+            if time.time() - folder.stat().st_mtime > ABANDONED_SECONDS:
+                shutil.rmtree(folder, ignore_errors=True)
+
+
 def _earlier(report: Path, by_camera: Sequence[str]) -> list[str]:
     """What an earlier run wrote into the folder and a later one may not write again."""
     try:
@@ -121,7 +144,7 @@ def _earlier(report: Path, by_camera: Sequence[str]) -> list[str]:
         paths = [PurePosixPath(name) for name in outputs]
     except (OSError, ValueError, LookupError, TypeError):
         return []  # there is none, or the file is somebody else's
-    own = [path for path in paths if path.parts[0] in by_camera and path.suffix == ".png"]
+    own = [path for path in paths if path.parts[0] in by_camera and path.suffix in PICTURES]
     own += [path for path in paths if path == PurePosixPath("cameras.json")]
     return [str(path) for path in own if ".." not in path.parts]
 

@@ -1,0 +1,88 @@
+"""A small folder of results as `locate` writes it, made without running it."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+
+from gsc_jax.io.cameras import save_cameras
+from gsc_jax.io.ply import read_ply, save_ply, save_tampered
+from gsc_jax.scene import Camera, Gaussians
+from gsc_jax.views import orbit_cameras
+
+COUNT, OBJECT = 2000, 4
+"""Gaussians in the file, of which each so-many-th is of the object."""
+BROKEN = (7, 12)
+"""Rows that cannot be rendered; the second is of the object."""
+THRESHOLD = 0.5
+RED, BLUE = (1.5, -1.2, -1.2), (-1.2, -1.2, 1.5)
+SCALE = 0.5
+"""Size of the masks relative to the images that the cameras are stored for."""
+
+
+def ball_over_floor() -> tuple[Gaussians, np.ndarray]:
+    """A red ball over a blue floor, and the scores that find the ball, by row of the file."""
+    rng = np.random.default_rng(0)
+    ball = np.arange(COUNT) % OBJECT == 0
+    floor_means = rng.uniform(-1, 1, (COUNT, 3)) * [1, 0.02, 1] + [0, 0.4, 0]
+    ball_means = rng.normal(size=(COUNT, 3))
+    ball_means *= 0.3 / np.linalg.norm(ball_means, axis=1, keepdims=True)
+    means = np.where(ball[:, None], ball_means, floor_means).astype(np.float32)
+    means[list(BROKEN)] = np.nan
+    gaussians = Gaussians(
+        means=means,
+        log_scales=np.full((COUNT, 3), np.log(0.04), np.float32),
+        quats=rng.normal(size=(COUNT, 4)).astype(np.float32),
+        logit_opacities=np.full(COUNT, 3, np.float32),
+        sh=np.where(ball[:, None], RED, BLUE)[:, None].astype(np.float32),
+    )
+    scores = np.where(ball, rng.uniform(0.6, 1, COUNT), rng.uniform(0, 0.4, COUNT))
+    scores[list(BROKEN)] = 0
+    return gaussians, scores.astype(np.float32)
+
+
+def write_results(folder: Path, *, views: int = 3) -> list[Camera]:
+    """Writes the folder, and beside it the cameras, of which the last was not looked from.
+
+    Args:
+        folder: Where to, made where missing.
+        views: Number of cameras that were looked from.
+
+    Returns:
+        Those cameras, at the size of their masks.
+    """
+    gaussians, scores = ball_over_floor()
+    folder.mkdir(parents=True, exist_ok=True)
+    save_ply(folder / "scene.ply", gaussians)
+    scene = read_ply(folder / "scene.ply")
+    save_tampered(folder / "tamper.ply", scene, scores[scene.rows])
+    np.save(folder / "tamper.npy", scores)
+    np.save(folder / "labels.npy", scores > THRESHOLD)
+    stored = orbit_cameras(scene.gaussians, views + 1, width=160, height=120)
+    stored = [
+        dataclasses.replace(camera, name=f"view/{index}.JPG") for index, camera in enumerate(stored)
+    ]
+    save_cameras(folder / "given.json", stored)
+    cameras = [camera.scaled(SCALE) for camera in stored[:-1]]
+    report = {
+        "command": {"cameras": str(folder / "given.json"), "scale": SCALE},
+        "config": {"threshold": THRESHOLD, "near": 0.2},
+        "verdict": 0.97,
+        "counts": {"gaussians": len(scene.rows), "tampered": int((scores > THRESHOLD).sum())},
+        "per_view": [
+            {"name": camera.name, "width": camera.width, "height": camera.height}
+            for camera in cameras
+        ],
+        "versions": {"gsc_jax": "0.1.0"},
+    }
+    (folder / "result.json").write_text(json.dumps(report), encoding="utf-8")
+    return cameras
+
+
+def rewrite_report(folder: Path, **changes: object) -> None:
+    """Replaces entries of result.json, or removes those that are None."""
+    path = folder / "result.json"
+    report = json.loads(path.read_text(encoding="utf-8")) | changes
+    kept = {key: value for key, value in report.items() if value is not None}
+    path.write_text(json.dumps(kept), encoding="utf-8")

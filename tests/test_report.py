@@ -20,12 +20,12 @@ from scipy.ndimage import binary_dilation, gaussian_filter
 from skimage.data import astronaut
 
 from gsc_jax.app import words
-from gsc_jax.app.charts import attribute_level
 from gsc_jax.app.outputs import write_report, write_results
 from gsc_jax.app.pictures import overlay, write_jpeg
-from gsc_jax.app.properties import properties
 from gsc_jax.app.publish import replacing
-from gsc_jax.app.thumbnails import LAYERS, MANY, SIDE, thumbnail, thumbnail_side, url
+from gsc_jax.app.reporting.charts import attribute_level
+from gsc_jax.app.reporting.properties import properties
+from gsc_jax.app.reporting.thumbnails import LAYERS, MANY, SIDE, thumbnail, thumbnail_side, url
 from gsc_jax.io.masks import write_mask, write_probability
 from gsc_jax.method import METHODS
 

@@ -18,13 +18,13 @@ from scipy.spatial.transform import Rotation
 from strategies import blobs, camera, floats, motions, random_scene, scenes
 
 from gsc_jax.app import viewer
-from gsc_jax.app.exhibit import counted, exhibit, legend
 from gsc_jax.app.options import View
-from gsc_jax.app.page import page
-from gsc_jax.app.poses import pose, upward
 from gsc_jax.app.results import read_results
-from gsc_jax.app.splats import MODES, fitting_half, half_unit, heat, largest, shown, splats
 from gsc_jax.app.viewer import run_view
+from gsc_jax.app.viewing.exhibit import counted, exhibit, legend
+from gsc_jax.app.viewing.page import page
+from gsc_jax.app.viewing.poses import pose, upward
+from gsc_jax.app.viewing.splats import MODES, fitting_half, half_unit, heat, largest, shown, splats
 from gsc_jax.errors import InputError
 
 UP = np.array([0.0, -1.0, 0.0])

@@ -17,12 +17,12 @@ from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.remote.webelement import WebElement
 
-from gsc_jax.app.exhibit import Exhibit, exhibit
-from gsc_jax.app.panel import SPLATS
-from gsc_jax.app.poses import Pose
 from gsc_jax.app.results import read_results
-from gsc_jax.app.splats import Mode, shown
 from gsc_jax.app.viewer import serving, write_page
+from gsc_jax.app.viewing.exhibit import Exhibit, exhibit
+from gsc_jax.app.viewing.panel import SPLATS
+from gsc_jax.app.viewing.poses import Pose
+from gsc_jax.app.viewing.splats import Mode, shown
 from gsc_jax.scene import Camera, Gaussians
 from gsc_jax.splat import render
 from gsc_jax.views import look_at

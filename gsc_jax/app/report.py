@@ -16,15 +16,15 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from gsc_jax.app.charts import (
+from gsc_jax.app.located import Located
+from gsc_jax.app.reporting.charts import (
     Chart,
     attribute_chart,
     groups_chart,
     property_charts,
     views_chart,
 )
-from gsc_jax.app.located import Located
-from gsc_jax.app.thumbnails import LAYERS, Picture, pictures, url
+from gsc_jax.app.reporting.thumbnails import LAYERS, Picture, pictures, url
 from gsc_jax.app.words import (
     WORTH,
     doubtful,
@@ -219,7 +219,7 @@ def _flat(value: Any, name: str = "") -> list[tuple[str, str]]:
 
 
 def _text(name: str) -> str:
-    return files("gsc_jax.app").joinpath(name).read_text(encoding="utf-8")
+    return files("gsc_jax.app.reporting").joinpath(name).read_text(encoding="utf-8")
 
 
 def _template():

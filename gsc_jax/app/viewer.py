@@ -12,10 +12,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gsc_jax.app.exhibit import Exhibit, exhibit
 from gsc_jax.app.options import View
-from gsc_jax.app.panel import add_controls, add_scene
 from gsc_jax.app.results import read_results
+from gsc_jax.app.viewing.exhibit import Exhibit, exhibit
+from gsc_jax.app.viewing.panel import add_controls, add_scene
 from gsc_jax.errors import InputError
 from gsc_jax.io.files import atomic
 from gsc_jax.stages import Progress, silent
@@ -81,7 +81,7 @@ def write_page(path: Path, exhibit: Exhibit) -> str:
     Raises:
         InputError: if the file cannot be written.
     """
-    from gsc_jax.app.page import page
+    from gsc_jax.app.viewing.page import page
 
     with serving(exhibit, host="127.0.0.1", port=0) as server:
         html = page(server.get_scene_serializer().as_html(dark_mode=True), exhibit)

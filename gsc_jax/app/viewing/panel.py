@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gsc_jax.app.exhibit import Exhibit, counted, legend
-from gsc_jax.app.poses import Pose
-from gsc_jax.app.splats import MODES, fitting_half, half_unit, shown
+from gsc_jax.app.viewing.exhibit import Exhibit, counted, legend
+from gsc_jax.app.viewing.poses import Pose
+from gsc_jax.app.viewing.splats import MODES, fitting_half, half_unit, shown
 
 if TYPE_CHECKING:
     import viser

@@ -12,10 +12,10 @@ from importlib.resources import files
 
 import numpy as np
 
-from gsc_jax.app.exhibit import Exhibit, legend
-from gsc_jax.app.panel import FLAT
-from gsc_jax.app.poses import Pose
-from gsc_jax.app.splats import MODES, SHADE, heat
+from gsc_jax.app.viewing.exhibit import Exhibit, legend
+from gsc_jax.app.viewing.panel import FLAT
+from gsc_jax.app.viewing.poses import Pose
+from gsc_jax.app.viewing.splats import MODES, SHADE, heat
 from gsc_jax.io.ply import LUMA
 
 LEVELS = 256
@@ -33,7 +33,7 @@ def page(client: str, exhibit: Exhibit) -> str:
     """
     from jinja2 import Environment
 
-    here = files("gsc_jax.app")
+    here = files("gsc_jax.app.viewing")
     template = Environment(autoescape=True).from_string(
         (here / "viewer.html").read_text(encoding="utf-8")
     )

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from gsc_jax.app.poses import Pose, pose, upward
 from gsc_jax.app.results import Results
-from gsc_jax.app.splats import Splats, heat, largest, splats
+from gsc_jax.app.viewing.poses import Pose, pose, upward
+from gsc_jax.app.viewing.splats import Splats, heat, largest, splats
 from gsc_jax.app.words import LIKELY, percent
 from gsc_jax.scene import Camera
 from gsc_jax.views import orbit_cameras

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gsc_jax.app import svg
-from gsc_jax.app.properties import Property, properties
+from gsc_jax.app.reporting import svg
+from gsc_jax.app.reporting.properties import Property, properties
 from gsc_jax.app.words import WORTH, share
 from gsc_jax.finding import Reliability
 from gsc_jax.locate import Result

@@ -1,0 +1,1 @@
+"""The pieces of report.html: charts, small pictures, and the page itself."""

@@ -1,0 +1,1 @@
+"""The pieces of the 3D viewer: what it shows, from where, and its panels."""

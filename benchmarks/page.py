@@ -68,8 +68,8 @@ def pipeline_list(values: dict) -> str:
             f"views, {rendered['epochs']} epochs): {rendered['rendered']:.1f} s against "
             f"{rendered['evidence']:.1f} s on the evidence, {rendered['ratio']:.1f} times as long.",
             f"- 3 million Gaussians, asked themselves too, and 100 views: {memory['seconds']:.0f} "
-            f"s, peak {memory['peak_gib']:.1f} GiB, of which at most {memory['anonymous_gib']:.1f} GiB is "
-            "not the file of the evidence.",
+            f"s, peak {memory['peak_gib']:.1f} GiB, of which at most "
+            f"{memory['anonymous_gib']:.1f} GiB is not the file of the evidence.",
             f"- Import {cold['import']:.2f} s; first view {cold['first view']:.1f} s, in the next "
             f"process {cold['first view, cached']:.1f} s from the compilation cache.",
             f"- {sweep['configurations']} configurations on evidence of 24 views computed once: "

@@ -1,4 +1,4 @@
-"""`python -m gsc_jax` is `gsc-jax`."""
+"""`python -m gsc_jax` is `gsc-jax`, but for an interruption while this package is imported."""
 
 import sys
 

@@ -1,47 +1,60 @@
 """`gsc-jax`: parses the command line, runs the command, and tells people how it went.
 
 Exit codes: 0 done; 2 bad input, said in one line on stderr; 130 interrupted; anything that is our
-fault ends in a traceback and 1. Results go to stdout, warnings and progress to stderr.
+fault ends in a traceback and 1. Results go to stdout, warnings and progress to stderr, the warnings
+last, where they are seen.
 """
 
 import contextlib
+import dataclasses
+import functools
 import importlib.metadata
 import io
+import operator
 import os
 import re
+import shutil
 import sys
-from collections import Counter
+import textwrap
+import typing
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated, Any
 
 import tyro
 
 from gsc_jax.app.cache import default_cache, use_cache
+from gsc_jax.app.caught import caught
 from gsc_jax.app.demo import run_demo
-from gsc_jax.app.options import Demo, Locate, Render, Tamper
-from gsc_jax.app.outputs import Located
+from gsc_jax.app.dry_run import dry_run
+from gsc_jax.app.evaluate import run_evaluate
+from gsc_jax.app.options import Demo, Evaluate, Locate, Render, Tamper, View
 from gsc_jax.app.progress import Bars
 from gsc_jax.app.run import run_locate, run_render
+from gsc_jax.app.settings import read_settings
 from gsc_jax.app.tampering import run_tamper
+from gsc_jax.app.words import summary
 from gsc_jax.errors import InputError
-from gsc_jax.finding import Reliability
-from gsc_jax.locate import Result
 
-Command = Locate | Render | Tamper | Demo
+Command = Locate | Render | Tamper | Evaluate | View | Demo
+NAMES: dict[str, type] = {kind.__name__.lower(): kind for kind in typing.get_args(Command)}
+Told = tuple[list[str], list[str]]
+"""What a person is told: lines, and warnings."""
 
-MASKS: dict[Reliability, str] = {
-    "finds": "finding it",
-    "misses": "missing it",
-    "inverted": "inverted",
-    "unseen": "of views without it",
-}
-"""What a mask is worth, in the words of the summary."""
 DESCRIPTION = """\
-Finds the tampered Gaussians in a 3D Gaussian Splatting model, from what a 2D detector says about
-its views (GS-Checker, in JAX, on the CPU). Start with: gsc-jax demo --out demo
+Finds the tampered Gaussians in a 3D Gaussian Splatting model: from the Gaussians themselves, and
+from what a 2D detector says about its views (GS-Checker, in JAX, on the CPU). Start with:
+gsc-jax demo --out demo
 
-Lengths are in the units of the scene, sizes in pixels. Exit codes: 0 done, 2 bad input, 1 our
-fault."""
+Lengths are in the units of the scene, sizes in pixels. Exit codes: 0 done, 2 bad input, 130
+interrupted (Ctrl-C: no file is left half written), 1 our fault."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class _File:
+    """The one option that has to be known before the others."""
+
+    config: Path | None = None
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -53,15 +66,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns:
         The exit code.
     """
-    argv = sys.argv[1:] if argv is None else argv
-    if list(argv) == ["--version"]:
+    argv = list(sys.argv[1:] if argv is None else argv)
+    if argv == ["--version"]:
         print(f"gsc-jax {importlib.metadata.version('gsc_jax')}")
         return 0
     try:
-        command = _parse(argv)
-        if not command.no_cache:
-            use_cache(default_cache())
-        _run(command)
+        _run(parse(argv))
     except InputError as error:
         return _complain(str(error), 2)
     except BrokenPipeError:  # whoever read our stdout, such as `head`, has had enough
@@ -69,25 +79,54 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
     except OSError as error:
         return _complain(f"{error.filename or 'a file'}: {error.strerror or error}", 2)
-    except KeyboardInterrupt:
-        return _complain("interrupted; no file is left half written", 130)
+    except KeyboardInterrupt as stop:
+        kept = getattr(stop, "__notes__", None) or ["no file is left half written"]
+        return _complain("; ".join(["interrupted", *kept]), 130)
     return 0
 
 
-def _parse(argv: Sequence[str]) -> Command:
-    """The command; tyro's framed complaints become one line, its help is printed as it is."""
-    complaint = io.StringIO()
+def parse(argv: Sequence[str]) -> Command:
+    """The command that somebody typed, with what its --config says of the rest.
+
+    Args:
+        argv: The arguments.
+
+    Raises:
+        InputError: if they make no command; prints and exits where they ask for help.
+    """
+    path = _typed(_File, argv, return_unknown_args=True, add_help=False)[0].config
+    if path is None or argv[0] != "locate":
+        commands = _commands(brief=not any(word in NAMES for word in argv))
+        return _typed(commands, argv, config=(tyro.conf.FlagCreatePairsOff,))
+    settings = read_settings(path)
+    command = _typed(_commands(settings.default()), argv)
+    if command.method != settings.method:  # what the file says is of another one
+        command = _typed(_commands(settings.about(command.method).default()), argv)
+    return command
+
+
+def _commands(default: Locate | None = None, *, brief: bool = False) -> Any:
+    """The commands for tyro, `locate` with other defaults than its own, or in a line each."""
+    kinds = []
+    for name, kind in NAMES.items():
+        told: dict[str, Any] = {"default": default} if default and kind is Locate else {}
+        if brief:
+            told["description"] = (kind.__doc__ or "").partition("\n")[0]
+        kinds.append(Annotated[kind, tyro.conf.subcommand(name=name, **told)])
+    return functools.reduce(operator.or_, kinds)
+
+
+def _typed(form: Any, argv: Sequence[str], **options: Any) -> Any:
+    """What tyro makes of the arguments; its framed complaints become one line, its help is told."""
+    complaint, helptext = io.StringIO(), _Page()
     try:
-        with contextlib.redirect_stderr(complaint):
+        with contextlib.redirect_stderr(complaint), contextlib.redirect_stdout(helptext):
             return tyro.cli(
-                Command,
-                prog="gsc-jax",
-                description=DESCRIPTION,
-                args=list(argv),
-                config=(tyro.conf.FlagCreatePairsOff,),
+                form, prog="gsc-jax", description=DESCRIPTION, args=list(argv), **options
             )
     except SystemExit as stop:
         if not stop.code:
+            print(_wrapped(helptext.getvalue()), end="")
             raise
         title, _, text = complaint.getvalue().strip().partition("\n")
         frame = re.compile(r"[╭╮╰╯│─•]+")
@@ -95,76 +134,64 @@ def _parse(argv: Sequence[str]) -> Command:
         raise InputError(": ".join(parts)) from None
 
 
-def _run(command: Command) -> None:
-    with Bars() as bars:
-        if isinstance(command, Demo):
-            lines, warnings = run_demo(command, progress=bars), []
-        elif isinstance(command, Render):
-            count, warnings = run_render(command, progress=bars)
-            lines = [f"{count} {'image' if count == 1 else 'images'} in {command.out}"]
-        elif isinstance(command, Tamper):
-            lines, warnings = run_tamper(command, progress=bars)
-        else:
-            located = run_locate(command, progress=bars)
-            lines, warnings = summary(located, command.out), located.warnings
-    for warning in warnings:
-        print(f"warning: {warning}", file=sys.stderr)
-    print(*lines, sep="\n")
+class _Page(io.StringIO):
+    """Text with the frames and colours that stdout would get."""
+
+    encoding = getattr(sys.__stdout__, "encoding", "ascii")
+
+    def isatty(self) -> bool:
+        return bool(sys.__stdout__ and sys.__stdout__.isatty())
 
 
-def summary(located: Located, out: Path) -> list[str]:
-    """What a person wants to know of a run, in a few lines.
-
-    Args:
-        located: The run.
-        out: Where its results are.
-    """
-    labels, views = located.result.labels, len(located.result.masks)
-    found = int(labels.sum())
-    seconds = {name: stage["seconds"] for name, stage in located.stages.items()}
-    slowest = sorted(seconds, key=seconds.__getitem__, reverse=True)[:3]
-    times = ", ".join(f"{name} {seconds[name]:.1f} s" for name in slowest)
-    verdict = (
-        f"{found:,} of {len(labels):,} Gaussians are tampered ({found / len(labels):.1%}); they "
-        f"cover {located.visible_share:.1%} of what {views} views show."
-        if found
-        else f"No tampered Gaussian was found: none of {len(labels):,}, in {views} views."
-    )
-    if found and located.result.verdict is not None and located.result.verdict < 0.5:
-        verdict = f"Probably nothing was tampered with. If something was: {verdict}"
-    return [
-        verdict,
-        *_judgement(located.result),
-        *_traces(located.result),
-        f"method   {located.result.method}",
-        f"time     {located.seconds:.1f} s (most work: {times})",
-        f"look at  {out / 'overview.png'}, {out / 'overlay'}",
-        f"scene    {out / 'tamper.ply'}; for any viewer: {out / 'highlight.ply'}",
-        f"numbers  {out / 'result.json'}, {out / 'labels.npy'}",
+def _wrapped(text: str) -> str:
+    """Help with its paragraphs broken between words; tyro does so inside of its frames only."""
+    width = shutil.get_terminal_size().columns
+    fill = functools.partial(textwrap.fill, width=width, break_on_hyphens=False)
+    lines = [
+        fill(line) if len(line) > width and line[:1].isalpha() else line
+        for line in text.split("\n")
     ]
+    return "\n".join(lines)
 
 
-def _judgement(result: Result) -> list[str]:
-    """Whether anything was tampered with at all, and what the masks are worth, if that is known."""
-    lines = []
-    if result.verdict is not None:
-        percent = f"{min(max(result.verdict, 0.01), 0.99):.0%}"
-        bound = "<" if result.verdict < 0.01 else ">" if result.verdict > 0.99 else ""
-        lines.append(f"verdict  {bound}{percent}: probability that anything was tampered with")
-    counts = Counter(result.reliability.values())
-    if counts:
-        said = ", ".join(f"{text} {counts[key]}" for key, text in MASKS.items() if counts[key])
-        lines.append(f"masks    {said}, of {counts.total()}")
-    if result.effort and result.effort.views < result.effort.available:
-        effort = result.effort
-        lines.append(f"looked   at {effort.views} of {effort.available} views: {effort.reason}")
-    return lines
+def _run(command: Command) -> None:
+    """Runs a command; what it is about comes last on stdout, what to mind last of all."""
+    warnings: list[str] = []
+    if not getattr(command, "no_cache", False):
+        use_cache(default_cache())
+    raised: list[str] = []
+    try:
+        with caught() as raised, Bars() as bars:
+            lines, warnings = _answer(command, bars)
+        print(*lines, sep="\n", flush=True)
+    finally:
+        _warn([*warnings, *(said for said in raised if said not in warnings)])
 
 
-def _traces(result: Result) -> list[str]:
-    """What editing left in the numbers of the file, where anything."""
-    found = result.native.traces if result.native else ()
-    return [f"trace    {trace.explanation}" for trace in found if trace.found]
+def _answer(command: Command, bars: Bars) -> Told:
+    if isinstance(command, Demo):
+        return run_demo(command, progress=bars), []
+    if isinstance(command, Render):
+        count, warnings = run_render(command, progress=bars)
+        return [f"{count} {'image' if count == 1 else 'images'} in {command.out}"], warnings
+    if isinstance(command, Tamper):
+        return run_tamper(command, progress=bars)
+    if isinstance(command, Evaluate):
+        return run_evaluate(command)
+    if isinstance(command, View):
+        from gsc_jax.app.viewer import run_view
+
+        return run_view(command, progress=bars, say=print)
+    if command.dry_run:
+        return dry_run(command, progress=bars)
+    located = run_locate(command, progress=bars)
+    return summary(located, command.out), located.warnings
+
+
+def _warn(warnings: Sequence[str]) -> None:
+    if warnings:
+        counted = "1 warning" if len(warnings) == 1 else f"{len(warnings)} warnings"
+        print(f"{counted}:", *(f"  {said}" for said in warnings), sep="\n", file=sys.stderr)
 
 
 def _complain(message: str, code: int) -> int:

@@ -5,6 +5,7 @@ into result.json as they are.
 """
 
 import dataclasses
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -16,6 +17,19 @@ from gsc_jax.method import Method
 from gsc_jax.projection import NEAR
 
 _arg = tyro.conf.arg
+
+
+def _otherwise(what: str) -> Callable[[str], str]:
+    """What `--help` says of a default: in words where it is nothing, else as --config has it."""
+
+    def hint(value: str) -> str:
+        said = what if value in ("None", "False", "") else value
+        return f"(default: {said})" if said else ""
+
+    return hint
+
+
+_Switch = Annotated[bool, _arg(help_behavior_hint=_otherwise(""))]
 Regime = Literal[
     "none", "clean", "boundary", "misses", "blobs", "consistent", "inverted", "mixture"
 ]
@@ -29,13 +43,13 @@ class Look:
     scene: Annotated[tyro.conf.Positional[Path], _arg(metavar="SCENE.ply")]
     out: Annotated[Path, _arg(metavar="DIR")]
     cameras: Annotated[
-        Path | None, _arg(metavar="FILE_OR_DIR", help_behavior_hint="(default: an orbit)")
+        Path | None, _arg(metavar="FILE_OR_DIR", help_behavior_hint=_otherwise("an orbit"))
     ] = None
-    views: Annotated[int | None, _arg(metavar="N", help_behavior_hint="(default: all)")] = None
+    views: Annotated[int | None, _arg(metavar="N", help_behavior_hint=_otherwise("all"))] = None
     scale: Annotated[float, _arg(metavar="S")] = 1.0
     near: Annotated[float, _arg(metavar="DEPTH")] = NEAR
     seed: Annotated[int, _arg(metavar="K")] = 0
-    no_cache: bool = False
+    no_cache: _Switch = False
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -54,7 +68,21 @@ class Locate(Look):
       gsc-jax locate scene.ply --cameras sparse/0 --out found \
               --detector native net.onnx --preset iml-vit
 
+    how long it would take, and the same run again with another threshold:
+      gsc-jax locate scene.ply --out found --dry-run
+      gsc-jax locate --config found/result.json --threshold 0.7 \
+              --out stricter
+
+    a file for --config, to write by hand; any line may be left out:
+      [command]                # these options, - written as _
+      scene = "scene.ply"
+      all_views = true
+      [config]                 # what has no option: fields of
+      classes = [4, 8, 12]     # RobustConfig, or MethodConfig
+      smoothing = 3.0
+
     written into the folder of --out:
+      report.html              start here
       overview.png, overlay/   pictures for people
       tamper.ply               the scene, plus a property tamper
       highlight.ply            tampered red, the rest grey
@@ -66,14 +94,20 @@ class Locate(Look):
         scene: The scene: a 3DGS .ply of any exporter; with the extra `formats` also compressed.ply,
             spz and sog.
         out: Folder for the results, made where missing. What an earlier run wrote there is
-            replaced when this one has succeeded.
+            replaced when this one has succeeded; one that is interrupted changes nothing.
         cameras: cameras.json, transforms.json, a COLMAP model (extra `colmap`), or a folder that
             holds one of them. Without, cameras are placed around the scene.
+        config: The options, from the result.json of an earlier run (or its folder), or from a .toml
+            or .json as above. What is typed goes before it; a value of it is taken back by None, as
+            in --masks None, a switch by --no-, as in --no-all-views. Its paths are those that could
+            be typed: relative to where you are, not to the file.
+        dry_run: Check all that is given, measure a few views, and say what would be done, how long
+            it would take and how much memory. Writes nothing into --out.
         masks: Folder with a mask per camera: CAMERA.png.
-        detector: Whom to ask besides --masks, and no one else: `native`, the Gaussians themselves
-            (exact traces of editing, and a small model of their attributes), which only `robust`
-            listens to; MODEL.onnx, a 2D network, or a folder with the encoder.onnx and decoder.onnx
-            of SAFIRE, which is shown the rendered views; both; or `none`.
+        detector: Whom to ask besides --masks, and no one else: `native`, the Gaussians themselves,
+            their attributes and exact traces of editing, to whom only `robust` listens; MODEL.onnx,
+            a 2D network, or a folder with the encoder.onnx and decoder.onnx of SAFIRE, which is
+            shown the rendered views; both; or `none`.
         preset: How to feed and read the model: iml-vit, trufor, mvss-net or pscc-net.
         spec: The same as a TOML file with the fields of `OnnxSpec`, for other models. A MODEL.toml
             beside MODEL.onnx need not be named, unless there is a --preset.
@@ -91,9 +125,9 @@ class Locate(Look):
         epochs: Of official and paper: how often the optimisation looks at each view.
         threshold: Above which a Gaussian is tampered: of `robust` a probability, of GS-Checker a
             score relative to the highest.
-        mask_rule: What makes a pixel tampered: that tampered Gaussians have the larger share in it,
-            that the rendered score exceeds the threshold (attribute), or the released code's rule
-            per view.
+        mask_rule: What makes a pixel tampered: share, that tampered Gaussians have the larger part
+            in it; attribute, that the rendered score exceeds the threshold; per-view, the released
+            code's rule, which takes every view by itself.
         views: Look from this many cameras only, evenly spread over those that can be used. Of an
             orbit, this many are made, by default 24.
         scale: Size of the views relative to the cameras' images; 0.5 has a quarter of the pixels.
@@ -104,37 +138,43 @@ class Locate(Look):
             folder of this user, where the next run finds them, and do not look for them there.
     """
 
-    masks: Annotated[Path | None, _arg(metavar="DIR", help_behavior_hint="")] = None
+    config: Annotated[Path | None, _arg(metavar="FILE", help_behavior_hint=_otherwise(""))] = None
+    dry_run: _Switch = False
+    masks: Annotated[Path | None, _arg(metavar="DIR", help_behavior_hint=_otherwise("none"))] = None
     detector: Annotated[
         tuple[Path, ...],
-        _arg(metavar="none|native|MODEL.onnx ...", help_behavior_hint="(default: native)"),
+        _arg(metavar="none|native|MODEL.onnx ...", help_behavior_hint=_otherwise("native")),
     ] = ()
     preset: Annotated[
-        str | None, _arg(metavar="NAME", help_behavior_hint="(default: RGB in [0, 1])")
+        str | None, _arg(metavar="NAME", help_behavior_hint=_otherwise("RGB in [0, 1]"))
     ] = None
     spec: Annotated[
-        Path | None, _arg(metavar="FILE.toml", help_behavior_hint="(default: beside the model)")
+        Path | None, _arg(metavar="FILE.toml", help_behavior_hint=_otherwise("beside the model"))
     ] = None
-    provider: Annotated[str | None, _arg(metavar="NAME", help_behavior_hint="(default: cpu)")] = (
+    provider: Annotated[str | None, _arg(metavar="NAME", help_behavior_hint=_otherwise("cpu"))] = (
         None
     )
-    threads: Annotated[int | None, _arg(metavar="N", help_behavior_hint="(default: all cores)")] = (
-        None
-    )
+    threads: Annotated[
+        int | None, _arg(metavar="N", help_behavior_hint=_otherwise("all cores"))
+    ] = None
     method: Method = "robust"
-    all_views: bool = False
-    lambda2: Annotated[float | None, _arg(metavar="PRICE", help_behavior_hint="(default: 10)")] = (
+    all_views: _Switch = False
+    lambda2: Annotated[float | None, _arg(metavar="PRICE", help_behavior_hint=_otherwise("10"))] = (
         None
     )
     epochs: Annotated[
-        int | None, _arg(metavar="N", help_behavior_hint="(default: official 1, paper 5)")
+        int | None, _arg(metavar="N", help_behavior_hint=_otherwise("official 1, paper 5"))
     ] = None
     threshold: Annotated[
         float | None,
-        _arg(metavar="SCORE", help_behavior_hint="(default: robust 0.5, GS-Checker 0.1)"),
+        _arg(metavar="SCORE", help_behavior_hint=_otherwise("robust 0.5, GS-Checker 0.1")),
     ] = None
     mask_rule: Annotated[
-        MaskRule | None, _arg(help_behavior_hint="(default: robust share, GS-Checker attribute)")
+        MaskRule | None,
+        _arg(
+            metavar="share|attribute|per-view",
+            help_behavior_hint=_otherwise("robust share, GS-Checker attribute"),
+        ),
     ] = None
 
 
@@ -214,7 +254,7 @@ class Tamper(Look):
 
     edit: Edit = "incorporation"
     object: Annotated[
-        Path | None, _arg(metavar="OBJECT.ply", help_behavior_hint="(default: a vase)")
+        Path | None, _arg(metavar="OBJECT.ply", help_behavior_hint=_otherwise("a vase"))
     ] = None
     size: Annotated[float, _arg(metavar="SHARE")] = 0.05
     masks: Regime = "mixture"
@@ -239,4 +279,60 @@ class Demo:
 
     out: Annotated[Path, _arg(metavar="DIR")]
     seed: Annotated[int, _arg(metavar="K")] = 0
-    no_cache: bool = False
+    no_cache: _Switch = False
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class View:
+    """Look at the results of `locate` in 3D, in a browser. Needs the extra `viewer`.
+
+    The scene in its own colours, as a heat map of the scores, or the tampered Gaussians alone, with
+    a slider for the threshold and a jump to each camera.
+
+    for example:
+      gsc-jax view found
+      gsc-jax view found --html found.html --most 200000
+
+    Attributes:
+        folder: Folder with the results of `locate`.
+        html: Write a page that needs no server into this file, instead of serving one.
+        port: Port to serve the page at.
+        host: Address to serve the page at: `localhost` for this machine only, 0.0.0.0 for whoever
+            can reach it.
+        most: Most Gaussians to show, those that are seen most; a browser has its limits.
+        no_browser: Do not open the page in a browser, only say where it is.
+    """
+
+    folder: Annotated[tyro.conf.Positional[Path], _arg(metavar="DIR")]
+    html: Annotated[
+        Path | None, _arg(metavar="FILE.html", help_behavior_hint=_otherwise("serve it"))
+    ] = None
+    port: Annotated[int, _arg(metavar="PORT")] = 8080
+    host: Annotated[str, _arg(metavar="HOST")] = "localhost"
+    most: Annotated[int, _arg(metavar="N")] = 500_000
+    no_browser: _Switch = False
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Evaluate:
+    """Compare the results of `locate` with the truth: by Gaussian, by view, or both.
+
+    The masks of the 2D detector are compared with the same truth, where there were any, to see what
+    lifting them to the Gaussians gained.
+
+    for example:
+      gsc-jax evaluate found --truth edited/labels.npy edited/truth
+
+    Attributes:
+        folder: Folder with the results of `locate`.
+        truth: What is tampered: labels.npy, bool by row of the scene that `locate` was given; a
+            folder with a mask per camera, CAMERA.png; or both, as `gsc-jax tamper` writes them.
+        out: The file for the scores.
+    """
+
+    folder: Annotated[tyro.conf.Positional[Path], _arg(metavar="DIR")]
+    truth: Annotated[tuple[Path, ...], _arg(metavar="labels.npy|MASKS ...")]
+    out: Annotated[
+        Path | None,
+        _arg(metavar="FILE.json", help_behavior_hint=_otherwise("DIR/evaluation.json")),
+    ] = None

@@ -12,11 +12,11 @@ from pathlib import Path
 import jax
 import numpy as np
 
+from gsc_jax.app.look import about, check_look, chosen_cameras, load_scene
 from gsc_jax.app.options import Tamper
 from gsc_jax.app.outputs import evenly, plain, versions
 from gsc_jax.app.pictures import contact_sheet, overlay
 from gsc_jax.app.publish import files_below, refuse_overlap, replacing
-from gsc_jax.app.run import about, check_look, chosen_cameras, load_scene
 from gsc_jax.benchmark.metrics import truth_mask
 from gsc_jax.benchmark.pasting import extent
 from gsc_jax.benchmark.scenes import make_object

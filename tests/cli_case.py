@@ -1,0 +1,158 @@
+"""A small scene in files for the tests of the command line, and the command line as a function.
+
+Test modules take its fixtures in by `case, found, own_cache = FIXTURES`.
+"""
+
+import contextlib
+import dataclasses
+import io
+import json
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import onnx
+import pytest
+from onnx import TensorProto, helper, numpy_helper
+from plyfile import PlyData, PlyElement
+
+from gsc_jax.app import asked, cli
+from gsc_jax.benchmark.metrics import truth_mask
+from gsc_jax.io.cameras import save_cameras
+from gsc_jax.io.layout import encode
+from gsc_jax.io.masks import image_path, write_mask
+from gsc_jax.scene import Gaussians
+from gsc_jax.views import orbit_cameras
+
+NAMES = ("left/img.0001.JPG", "view.b", "c")
+COUNT, OBJECT, BROKEN = 300, 60, (5, 17)
+"""Gaussians in the file, red ones among them, and rows that cannot be rendered."""
+
+RED, BLUE = (1.2, -1.5, -1.5), (-1.5, -1.5, 1.2)
+
+
+class Run(NamedTuple):
+    code: int
+    out: str
+    err: str
+
+
+def run(*argv: object) -> Run:
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        code = cli.main([str(arg) for arg in argv])
+    return Run(code, out.getvalue(), err.getvalue())
+
+
+def refused(*argv: object) -> str:
+    """What bad input is answered with: one line, exit code 2 and nothing else."""
+    answer = run(*argv)
+    assert answer.code == 2
+    assert answer.out == ""
+    assert answer.err.count("\n") == 1
+    assert answer.err.startswith("gsc-jax: ")
+    return answer.err
+
+
+@pytest.fixture(scope="module")
+def case(tmp_path_factory) -> Path:
+    """A red ball over a blue floor, three cameras and their true masks."""
+    folder = tmp_path_factory.mktemp("case")
+    rng = np.random.default_rng(0)
+    labels = np.arange(COUNT) % (COUNT // OBJECT) == 0
+    floor = rng.uniform(-1, 1, (COUNT, 3)) * [1, 0.02, 1] + [0, 0.4, 0]
+    ball = rng.normal(size=(COUNT, 3))
+    ball *= 0.3 / np.linalg.norm(ball, axis=1, keepdims=True)
+    means = np.where(labels[:, None], ball, floor)
+    colors = np.where(labels[:, None], RED, BLUE)
+    gaussians = Gaussians(
+        means=means.astype(np.float32),
+        log_scales=np.full((COUNT, 3), -2.6, np.float32),
+        quats=np.tile(np.array([1, 0, 0, 0], np.float32), (COUNT, 1)),
+        logit_opacities=np.full(COUNT, 3, np.float32),
+        sh=colors[:, None].astype(np.float32),
+    )
+    cameras = [
+        dataclasses.replace(camera, name=name)
+        for camera, name in zip(
+            orbit_cameras(gaussians, 3, width=48, height=40), NAMES, strict=True
+        )
+    ]
+    save_cameras(folder / "cameras.json", cameras)
+    for camera in cameras:
+        write_mask(image_path(folder / "masks", camera.name), truth_mask(gaussians, camera, labels))
+    np.save(folder / "truth.npy", labels)
+    write_scene(folder / "scene.ply", gaussians)
+    return folder
+
+
+def write_scene(path: Path, gaussians: Gaussians) -> None:
+    """The scene with properties of other people, one of them in the middle, and broken rows."""
+    plain = encode(gaussians)["vertex"].data
+    kinds = [(name, plain.dtype[name]) for name in plain.dtype.names]
+    data = np.empty(COUNT, [*kinds[:3], ("mask", "u1"), *kinds[3:], ("time", "<f8")])
+    for name in plain.dtype.names:
+        data[name] = plain[name]
+    data["mask"], data["time"] = np.arange(COUNT) % 7, np.arange(COUNT) / 3
+    data["x"][BROKEN[0]] = np.nan
+    for axis in range(4):
+        data[f"rot_{axis}"][BROKEN[1]] = 0
+    PlyData([PlyElement.describe(data, "vertex")], byte_order="<").write(str(path))
+
+
+def given(case: Path, **changes: object) -> list[object]:
+    """Arguments of a good `locate` but for the output, with some of them replaced or left out."""
+    named = {"cameras": case / "cameras.json", "masks": case / "masks"} | changes
+    scene = named.pop("scene", case / "scene.ply")
+    flags = [(f"--{name.replace('_', '-')}", value) for name, value in named.items()]
+    return ["locate", scene, *(x for flag in flags if flag[1] is not None for x in flag)]
+
+
+@pytest.fixture(scope="module")
+def found(case, tmp_path_factory) -> tuple[Path, Run]:
+    out = tmp_path_factory.mktemp("found") / "new" / "out"
+    return out, run(*given(case), "--out", out)
+
+
+@pytest.fixture
+def own_cache(tmp_path, monkeypatch) -> Path:
+    """What networks said in earlier tests, and in earlier runs of this one, is not known."""
+    monkeypatch.setattr(asked, "default_cache", lambda: tmp_path / "cache")
+    return tmp_path / "cache"
+
+
+def report(out: Path) -> dict:
+    def refuse(constant: str):
+        raise AssertionError(f"{constant} is no JSON")
+
+    return json.loads((out / "result.json").read_text(), parse_constant=refuse)
+
+
+def network(path: Path, channels: int = 3) -> Path:
+    """A model that flags what is red and not blue, as a network would."""
+    weights = np.array([20, 0, -20] if channels == 3 else [20] * channels, np.float32)
+    graph = helper.make_graph(
+        [
+            helper.make_node("Conv", ["image", "weights", "bias"], ["logit"]),
+            helper.make_node("Sigmoid", ["logit"], ["map"]),
+        ],
+        "red",
+        [helper.make_tensor_value_info("image", TensorProto.FLOAT, [1, channels, "h", "w"])],
+        [helper.make_tensor_value_info("map", TensorProto.FLOAT, [1, 1, "h", "w"])],
+        [
+            numpy_helper.from_array(weights.reshape(1, channels, 1, 1), "weights"),
+            numpy_helper.from_array(np.array([-2], np.float32), "bias"),
+        ],
+    )
+    opset = [helper.make_opsetid("", 17)]
+    onnx.save(helper.make_model(graph, opset_imports=opset, ir_version=8), path)
+    return path
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """All files below a folder, by relative path."""
+    files = (path for path in folder.rglob("*") if path.is_file())
+    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
+
+
+FIXTURES = case, found, own_cache

@@ -1,0 +1,106 @@
+"""The command line with a 2D network: how it is fed, and that it is not asked twice."""
+
+import numpy as np
+import pytest
+from cli_case import BROKEN, FIXTURES, NAMES, given, network, refused, report, run
+
+from gsc_jax.benchmark.metrics import f1_score
+from gsc_jax.detectors.onnx import OnnxDetector
+
+case, found, own_cache = FIXTURES
+pytestmark = pytest.mark.usefixtures("own_cache")
+
+
+def test_a_network_looks_at_the_renders(case, tmp_path):
+    argv = given(case, masks=None, detector=network(tmp_path / "red.onnx"))
+    assert run(*argv, "--out", tmp_path / "out").code == 0
+    truth = np.load(case / "truth.npy")
+    truth[list(BROKEN)] = False
+    assert f1_score(np.load(tmp_path / "out" / "labels.npy"), truth) > 0.8
+    assert "render" in report(tmp_path / "out")["stages"]
+
+
+def test_a_spec_says_how_to_feed_the_network(case, tmp_path):
+    model = network(tmp_path / "red.onnx")
+    spec = tmp_path / "net.toml"
+    spec.write_text('channels = "bgr"\n')
+    argv = given(case, masks=None, detector=model, spec=spec)
+    assert run(*argv, "--out", tmp_path / "out", "--method", "official").code == 0
+    truth = np.load(case / "truth.npy")
+    assert f1_score(np.load(tmp_path / "out" / "labels.npy"), truth) < 0.5, "colours not swapped"
+    spec.write_text("size = 0\n")
+    assert f"{spec}: detector spec: size is 0" in refused(*argv, "--out", tmp_path / "no")
+    spec.write_text("size = \n")
+    assert f"{spec}: no TOML" in refused(*argv, "--out", tmp_path / "no")
+    assert "one of them" in refused(*argv, "--preset", "trufor", "--out", tmp_path / "no")
+
+
+def test_the_spec_beside_a_model_is_taken_and_named(case, tmp_path):
+    model = network(tmp_path / "red.onnx")
+    beside, other = tmp_path / "red.toml", tmp_path / "other.toml"
+    beside.write_text('chanels = "bgr"\n')
+    argv = given(case, masks=None, detector=model, method="official")
+    message = refused(*argv, "--out", tmp_path / "no")
+    assert f"{beside}: detector spec: unknown field 'chanels' (did you mean 'channels'?)" in message
+    beside.write_text('channels = "bgr"\n')
+    assert run(*argv, "--out", tmp_path / "out").code == 0
+    assert report(tmp_path / "out")["command"]["spec"] == str(beside)
+    truth = np.load(case / "truth.npy")
+    assert f1_score(np.load(tmp_path / "out" / "labels.npy"), truth) < 0.5, "colours not swapped"
+    other.write_text("")
+    assert run(*argv, "--spec", other, "--out", tmp_path / "out").code == 0
+    assert report(tmp_path / "out")["command"]["spec"] == str(other)
+    assert f1_score(np.load(tmp_path / "out" / "labels.npy"), truth) > 0.8
+    # A preset is asked for; what lies beside the model is not.
+    beside.write_text("size = 0\n")
+    assert run(*argv, "--preset", "pscc-net", "--out", tmp_path / "out").code == 0
+    assert report(tmp_path / "out")["command"]["spec"] is None
+
+
+def test_a_second_run_asks_no_network(case, tmp_path, monkeypatch, own_cache):
+    asked = []
+    judged = OnnxDetector.__call__
+
+    def counting(self, image, camera):
+        asked.append(camera.name)
+        return judged(self, image, camera)
+
+    monkeypatch.setattr(OnnxDetector, "__call__", counting)
+    argv = given(case, masks=None, detector=network(tmp_path / "red.onnx"))
+    assert run(*argv, "--no-cache", "--out", tmp_path / "never").code == 0
+    assert not own_cache.exists()
+    assert run(*argv, "--out", tmp_path / "first").code == 0
+    assert len(asked) == 2 * len(NAMES)
+    assert run(*argv, "--out", tmp_path / "again", "--threads", 1).code == 0
+    assert run(*argv, "--out", tmp_path / "lifted", "--method", "official").code == 0
+    assert len(asked) == 2 * len(NAMES), "a network was run again"
+    for name in ("first", "again"):
+        for file in ("tamper.npy", "labels.npy"):
+            np.testing.assert_array_equal(
+                np.load(tmp_path / name / file), np.load(tmp_path / "never" / file)
+            )
+    assert run(*argv, "--out", tmp_path / "smaller", "--scale", 0.5).code == 0
+    assert len(asked) == 3 * len(NAMES), "another image, the same output"
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"provider": "abacus"}, ("no provider 'abacus'", "one of", "cpu")),
+        ({"threads": -1}, ("-1 threads",)),
+        ({"threads": "all"}, ("--threads", "all")),
+    ],
+)
+def test_providers_and_threads_that_are_none(case, tmp_path, changes, expected):
+    model = network(tmp_path / "red.onnx")
+    argv = given(case, masks=None, detector=model, **changes)
+    message = refused(*argv, "--out", tmp_path / "out")
+    assert all(part in message for part in expected)
+
+
+def test_a_network_of_the_wrong_shape(case, tmp_path):
+    model = network(tmp_path / "wide.onnx", channels=6)
+    message = refused(*given(case, masks=None, detector=model), "--out", tmp_path / "out")
+    assert str(model) in message
+    assert "[1, 6, ?, ?]" in message or "[1, 6, h, w]" in message
+    assert not (tmp_path / "out").exists()

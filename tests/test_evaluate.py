@@ -1,0 +1,202 @@
+"""gsc-jax evaluate: the scores are those of the metrics, and what is no truth is refused."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_case import BROKEN, COUNT, FIXTURES, NAMES, refused, run
+from data import DATA, TAMPERED, needs_data
+
+from gsc_jax.benchmark.metrics import auc, confusion
+from gsc_jax.io.masks import image_path, read_probability, write_mask
+
+case, found, own_cache = FIXTURES
+
+
+@pytest.fixture
+def folder(found, tmp_path) -> Path:
+    """A copy of results that tests may damage."""
+    return shutil.copytree(found[0], tmp_path / "results")
+
+
+def mask(folder: Path, name: str) -> np.ndarray:
+    return read_probability(image_path(folder, name)) > 0.5
+
+
+def numbers(folder: Path) -> dict:
+    return json.loads((folder / "evaluation.json").read_text())
+
+
+def test_by_gaussian(case, folder):
+    answer = run("evaluate", folder, "--truth", case / "truth.npy")
+    assert (answer.code, answer.err) == (0, "")
+    truth, labels = np.load(case / "truth.npy"), np.load(folder / "labels.npy")
+    expected = confusion(labels, truth)
+    scores = numbers(folder)["gaussians"]
+    assert scores["rows"] == COUNT
+    assert (scores["tampered"], scores["found"]) == (truth.sum(), labels.sum())
+    assert scores["both"] == (truth & labels).sum()
+    for name in ("f1", "iou", "precision", "recall"):
+        assert scores[name] == pytest.approx(getattr(expected, name))
+        assert f"{getattr(expected, name):.3f}" in answer.out
+    assert scores["auc"] == pytest.approx(auc(np.load(folder / "tamper.npy"), truth))
+    assert "views" not in numbers(folder)
+    assert str(folder / "evaluation.json") in answer.out
+
+
+def test_rows_that_could_not_be_read_count_as_authentic(folder, tmp_path):
+    truth = np.zeros(COUNT, bool)
+    truth[list(BROKEN)] = True
+    np.save(tmp_path / "truth.npy", truth)
+    run("evaluate", folder, "--truth", tmp_path / "truth.npy")
+    scores = numbers(folder)["gaussians"]
+    assert (scores["tampered"], scores["both"], scores["recall"]) == (len(BROKEN), 0, 0)
+
+
+def test_by_view_with_the_detector_beside_it(case, folder, tmp_path):
+    # What was found is half right in one view, and the detector is right everywhere.
+    truth = mask(case / "masks", NAMES[0])
+    half = truth & (np.cumsum(truth).reshape(truth.shape) <= truth.sum() // 2)
+    write_mask(image_path(folder / "masks", NAMES[0]), half)
+    shutil.copytree(case / "masks", tmp_path / "truth")
+    write_mask(image_path(tmp_path / "truth", NAMES[2]), np.zeros_like(truth))
+    out = tmp_path / "new" / "scores.json"
+    answer = run("evaluate", folder, "--truth", tmp_path / "truth", "--out", out)
+    assert answer.code == 0
+    assert not (folder / "evaluation.json").exists()
+    views = json.loads(out.read_text())["views"]
+    ours, theirs = views["found"]["per_view"], views["detector"]["per_view"]
+    assert set(ours) == set(theirs) == set(NAMES[:2])
+    assert ours[NAMES[0]]["recall"] == pytest.approx(half.sum() / truth.sum())
+    assert ours[NAMES[0]]["precision"] == pytest.approx(1)
+    assert theirs[NAMES[0]]["f1"] == pytest.approx(1)
+    assert views["found"]["f1"] == pytest.approx(np.mean([v["f1"] for v in ours.values()]))
+    flagged = views["found"]["per_authentic_view"]
+    assert flagged == {NAMES[2]: pytest.approx(mask(folder / "masks", NAMES[2]).mean())}
+    assert views["detector"]["false_positive_area"] == pytest.approx(
+        mask(folder / "detector", NAMES[2]).mean()
+    )
+    for part in (NAMES[0], "mean of 2", "2D F1", "Of the authentic view"):
+        assert part in answer.out
+    assert views["truth"][NAMES[0]] == pytest.approx(truth.mean())
+
+
+def test_both_at_once(case, folder):
+    answer = run("evaluate", folder, "--truth", case / "truth.npy", case / "masks")
+    assert answer.code == 0
+    assert {"gaussians", "views"} < set(numbers(folder))
+    again = run("evaluate", folder, "--truth", case / "masks", case / "truth.npy")
+    assert again.out == answer.out
+
+
+def test_results_without_a_detector(case, tmp_path):
+    argv = [case / "scene.ply", "--cameras", case / "cameras.json", "--out", tmp_path]
+    assert run("locate", *argv).code == 0
+    answer = run("evaluate", tmp_path, "--truth", case / "masks")
+    assert "2D" not in answer.out
+    assert "detector" not in numbers(tmp_path)["views"]
+
+
+def test_truth_of_some_views_and_of_another_size(case, folder, tmp_path):
+    truth = mask(case / "masks", NAMES[0])
+    write_mask(image_path(tmp_path / "truth", NAMES[0]), np.kron(truth, np.ones((3, 3), bool)))
+    answer = run("evaluate", folder, "--truth", tmp_path / "truth")
+    assert answer.err.startswith("2 warnings:\n")
+    assert "2 of 3 views have no mask" in answer.err
+    assert "another size" in answer.err
+    scores = numbers(folder)["views"]["detector"]["per_view"]
+    assert list(scores) == [NAMES[0]]
+    assert scores[NAMES[0]]["f1"] > 0.98
+    assert numbers(folder)["warnings"]
+
+
+def test_nothing_tampered_anywhere(folder, tmp_path):
+    for name in NAMES:
+        write_mask(image_path(tmp_path / "truth", name), np.zeros((40, 48), bool))
+    np.save(tmp_path / "truth.npy", np.zeros(COUNT, bool))
+    answer = run("evaluate", folder, "--truth", tmp_path / "truth", tmp_path / "truth.npy")
+    assert answer.code == 0
+    assert "No view shows anything tampered" in answer.out
+    assert "Of the 3 authentic views" in answer.out
+    assert numbers(folder)["gaussians"]["auc"] is None
+    assert numbers(folder)["views"]["found"]["f1"] is None
+
+
+def test_cameras_that_are_gone_do_not_matter(case, folder):
+    report = json.loads((folder / "result.json").read_text())
+    report["command"]["cameras"] = "gone.json"
+    (folder / "result.json").write_text(json.dumps(report))
+    assert run("evaluate", folder, "--truth", case / "masks").code == 0
+
+
+@pytest.mark.parametrize(
+    ("array", "expected"),
+    [
+        (np.zeros(COUNT - 2, bool), f"expected a .npy of {COUNT} true or false"),
+        (np.zeros((COUNT, 1), bool), "shape (300, 1)"),
+        (np.linspace(0, 1, COUNT), "float64"),
+        (np.full(COUNT, 2), "int64"),
+    ],
+)
+def test_labels_of_another_scene(folder, tmp_path, array, expected):
+    np.save(tmp_path / "truth.npy", array)
+    message = refused("evaluate", folder, "--truth", tmp_path / "truth.npy")
+    assert f"{tmp_path / 'truth.npy'}: holds" in message
+    assert expected in message
+
+
+def test_zeros_and_ones_are_labels(case, folder, tmp_path):
+    np.save(tmp_path / "truth.npy", np.load(case / "truth.npy").astype(np.uint8))
+    assert run("evaluate", folder, "--truth", tmp_path / "truth.npy").code == 0
+
+
+def test_what_is_no_truth(case, folder, tmp_path):
+    file, several = tmp_path / "truth.npy", tmp_path / "truth.npz"
+    file.write_bytes(b"no array")
+    np.savez(several, a=np.zeros(2))
+    masks, other = tmp_path / "masks", tmp_path / "other"
+    write_mask(masks / "other.png", np.zeros((40, 48), bool))
+    write_mask(image_path(other, NAMES[0]), np.zeros((40, 40), bool))
+    for truth, expected in (
+        ([file], "cannot be read"),
+        ([several], "holds several arrays"),
+        ([tmp_path / "missing"], "no such file or folder"),
+        ([masks], "none of its 1 images is named after"),
+        ([other], "has 40 x 40 pixels, the view 48 x 40"),
+        ([masks, other], "or one of each"),
+        ([case / "truth.npy", file], "or one of each"),
+        ([], "--truth"),
+    ):
+        assert expected in refused("evaluate", folder, "--truth", *truth)
+    assert not (folder / "evaluation.json").exists()
+
+
+def test_what_are_no_results(case, folder, tmp_path):
+    truth = ["--truth", case / "truth.npy"]
+    assert f"{tmp_path / 'no'}: " in refused("evaluate", tmp_path / "no", *truth)
+    assert "holds no results" in refused("evaluate", case, *truth)
+    write_mask(image_path(folder / "masks", NAMES[0]), np.zeros((4, 4), bool))
+    message = refused("evaluate", folder, "--truth", case / "masks")
+    assert "4 x 4 pixels, expected 48 x 40" in message
+
+
+def test_the_scores_cannot_be_written(case, folder, tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    argv = ["--truth", case / "truth.npy", "--out", tmp_path / "file" / "scores.json"]
+    assert "cannot be written" in refused("evaluate", folder, *argv)
+
+
+@needs_data
+def test_a_real_scene(tmp_path):
+    """The truth of the shared scenes is of the form that `tamper` writes."""
+    given = DATA / "tampered" / TAMPERED[1]
+    argv = [given / "scene.ply", "--cameras", given / "cameras.json", "--masks", given / "detector"]
+    options = ["--detector", "none", "--views", 6, "--scale", 0.25]
+    assert run("locate", *argv, *options, "--out", tmp_path).code == 0
+    answer = run("evaluate", tmp_path, "--truth", given / "labels.npy", given / "truth")
+    assert answer.code == 0
+    assert "another size" in answer.err
+    assert numbers(tmp_path)["gaussians"]["rows"] == 123_214
+    assert numbers(tmp_path)["views"]["found"]["f1"] >= 0

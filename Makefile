@@ -42,7 +42,7 @@ results: $(VENV)/installed
 
 docs: $(VENV)/installed-dev
 	$(BIN)/python docs/pictures.py
-	$(BIN)/mkdocs build --strict
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 clean:
 	rm -rf $(VENV) demo site build dist *.egg-info .pytest_cache .ruff_cache .hypothesis

@@ -47,7 +47,8 @@ def neighbourhoods(points: np.ndarray, k: int) -> Neighbourhoods:
     tree = KDTree(points, compact_nodes=False, balanced_tree=False)
     distances, nearest = tree.query(points, k=k + 1, workers=WORKERS)
     # The first is the point itself, or one that lies on it, which is as good.
-    distances, nearest = distances[:, 1:].astype(np.float32), np.int32(nearest[:, 1:])
+    distances = distances[:, 1:].astype(np.float32)
+    nearest = np.asarray(nearest)[:, 1:].astype(np.int32)
     ends = np.arange(0, nearest.size + 1, k, dtype=np.int32)
     weights = np.full(nearest.size, 1 / k, np.float32)
     mean = csr_array((weights, nearest.ravel(), ends), shape=(len(points), len(points)))

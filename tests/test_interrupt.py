@@ -277,8 +277,8 @@ def test_an_interruptible_detector_is_the_detector_in_all_else():
     assert patient.select([CAMERA, CAMERA]) == [CAMERA]
 
     class Broken(Slow):
-        def __call__(self, *view):
-            raise ZeroDivisionError(view)
+        def __call__(self, image, camera):
+            raise ZeroDivisionError(camera)
 
     with pytest.raises(ZeroDivisionError):
         Interruptible(Broken())(None, CAMERA)

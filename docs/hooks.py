@@ -4,13 +4,12 @@ Where a page says `<!-- help -->` there follows what `gsc-jax --help` and the he
 commands print, so that the page and the program cannot disagree.
 """
 
-import contextlib
-import io
 import os
 import re
+import subprocess
+import sys
 import textwrap
 from typing import Any
-from unittest.mock import patch
 
 WIDTH = 80
 PLACE = "<!-- help -->"
@@ -45,13 +44,15 @@ def commands(program: str) -> list[str]:
 
 def help_of(*command: str) -> str:
     """The help of a command or of the program, without the frames around its parts."""
-    from gsc_jax.app.cli import main
-
-    printed = io.StringIO()
-    plain = patch.dict(os.environ, {"COLUMNS": str(WIDTH), "NO_COLOR": "1", "TERM": "dumb"})
-    with plain, contextlib.redirect_stdout(printed), contextlib.suppress(SystemExit):
-        main([*command, "--help"])
-    lines = map(_unframed, printed.getvalue().strip().splitlines())
+    plain = {"COLUMNS": str(WIDTH), "NO_COLOR": "1", "TERM": "dumb", "PYTHONIOENCODING": "utf-8"}
+    said = subprocess.run(
+        [sys.executable, "-m", "gsc_jax", *command, "--help"],
+        env={**os.environ, **plain},
+        capture_output=True,
+        encoding="utf-8",
+        check=True,
+    )
+    lines = map(_unframed, said.stdout.strip().splitlines())
     return "\n".join(line for line in lines if line is not None)
 
 

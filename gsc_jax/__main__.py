@@ -1,7 +1,7 @@
-"""`python -m gsc_jax` is `gsc-jax`, but for an interruption while this package is imported."""
+"""`python -m gsc_jax` is `gsc-jax`."""
 
 import sys
 
-from gsc_jax.app.cli import main
+from gsc_jax_command import main
 
 sys.exit(main())

@@ -22,7 +22,7 @@ NEIGHBOURS = 16
 FLATTEST = -30.0
 """Log scales below this are all alike."""
 SURROUNDINGS = ("own", "mean", "spread", "second", "fourth")
-"""Of each number: itself, over the neighbours, over theirs, and over the neighbours' of those."""
+"""Of each number: its own; mean and spread over the neighbours; means over two and four steps."""
 AT_A_TIME = 8
 """Columns that are averaged over neighbourhoods at once."""
 CLIP = 6.0
@@ -79,7 +79,7 @@ def _own(groups: dict[str, np.ndarray]) -> np.ndarray:
 
 
 def pooled(own: np.ndarray, around: Neighbourhoods) -> np.ndarray:
-    """With means and spreads over the neighbours, and means over theirs, and theirs, (N, 5 D)."""
+    """Numbers (N, D) with what they are in all `SURROUNDINGS`, shape (N, 5 D)."""
     # One table, filled a few columns at a time: of millions of Gaussians it is the largest thing.
     count, width = own.shape
     table = np.empty((count, len(SURROUNDINGS), width), np.float32)

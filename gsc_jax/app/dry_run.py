@@ -14,8 +14,8 @@ from gsc_jax.io.masks import image_path
 from gsc_jax.method import Config, MethodConfig
 from gsc_jax.stages import Progress, silent
 
-MARGIN = 0.8, 1.4
-"""How far off the seconds may be either way: views differ, and the machine does other things."""
+MARGIN = 0.7, 1.7
+"""How far off the seconds may be either way: views differ, and machines do other things as well."""
 FIRST = "tamper.ply", "highlight.ply", "labels.npy", "tamper.npy", "report.html", "result.json"
 
 

@@ -1,10 +1,11 @@
 """--dry-run: what it says, that it is roughly true, and that nothing is written."""
 
 import re
+import types
 
 import numpy as np
 import pytest
-from cli_case import COUNT, FIXTURES, contents, given, network, refused, report, run
+from cli_case import COUNT, FIXTURES, contents, given, network, refused, run
 
 from gsc_jax.app import dry_run, trial
 from gsc_jax.app.options import Locate
@@ -26,7 +27,7 @@ def test_it_says_what_would_be_done_and_does_nothing(case, tmp_path):
     answer = run(*given(case), "--out", out, "--dry-run")
     assert answer.code == 0
     assert not out.parent.exists()
-    assert answer.out.startswith("A dry run: nothing was written.\n")
+    assert answer.out.startswith("A dry run: nothing was written to ")
     lines = said(answer.out)
     assert f"{COUNT - 2} Gaussians" in lines["scene"]
     assert lines["views"] == f"3 of 48 x 40 pixels, from {case / 'cameras.json'}"
@@ -116,20 +117,22 @@ def test_the_network_is_shown_fewer_views_at_least_than_at_most(case, tmp_path):
     )
     plan = plan_locate(options)
     shown = trial.Network(seconds=2.0, kept=0, tried=3)
-    few, many = trial._looks(plan, 100, shown)
+    few, many = trial.looks_of(plan, 100, shown)
     assert list(many) == list(batches(100))
     assert list(few) == list(batches(100))[:2]
-    assert trial._looks(plan, 3, None) == ([3], [3])
+    assert trial.looks_of(plan, 3, None) == ([3], [3])
 
 
-def test_seconds_are_those_of_a_run_but_for_the_machine(case, tmp_path):
-    """Very roughly, as the tests of others run beside this one; benchmarks/dry_run.py measures."""
-    assert run(*given(case), "--out", tmp_path / "out").code == 0  # compiles
-    answer = said(run(*given(case), "--out", tmp_path / "out", "--dry-run").out)
-    assert run(*given(case), "--out", tmp_path / "out").code == 0
-    took = report(tmp_path / "out")["seconds"]
-    seconds = float(answer["time"].split()[1])
-    assert took / 8 < seconds < 8 * took
+def test_seconds_grow_with_the_views_and_with_what_is_asked_of_them():
+    tried = types.SimpleNamespace(masks={"a": None, "b": None})
+    measured = trial.Round(look=0.5, optimise=3.0, masks=0.25, result=tried)  # type: ignore[arg-type]
+    writing = trial.Writing(once=2.0, each=0.1, bytes_once=1000, bytes_each=10)
+    network = trial.Network(seconds=4.0, kept=1, tried=4)
+    said = trial.seconds_by_stage(40, measured, writing, [8, 16], network)
+    assert said == pytest.approx(
+        {"look": 16 * (0.5 + 3.0), "optimise": 3.0 * 12, "masks": 10.0, "write": 6.0}
+    )
+    assert writing.bytes(40) == 1400
 
 
 def test_durations_and_sizes_are_for_people():
@@ -146,7 +149,7 @@ def test_durations_and_sizes_are_for_people():
 
 
 def test_the_clock_tells_the_time_between_steps():
-    clock = trial._Clock()
+    clock = trial.Clock()
     for done in range(4):
         clock("look", done, 3)
     times = clock.times["look"]

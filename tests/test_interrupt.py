@@ -29,7 +29,7 @@ START = (
     "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler);"
     "from gsc_jax_command import main; sys.exit(main())"
 )
-EXIT_SECONDS = 10
+EXIT_SECONDS = 60
 """After which an interrupted process has to be gone, on a busy machine; it takes one or two."""
 
 
@@ -278,7 +278,7 @@ def test_an_interruptible_detector_is_the_detector_in_all_else():
 
     class Broken(Slow):
         def __call__(self, image, camera):
-            raise ZeroDivisionError(camera)
+            raise ZeroDivisionError(image, camera)
 
     with pytest.raises(ZeroDivisionError):
         Interruptible(Broken())(None, CAMERA)

@@ -137,7 +137,9 @@ def _typed(form: Any, argv: Sequence[str], **options: Any) -> Any:
 class _Page(io.StringIO):
     """Text with the frames and colours that stdout would get."""
 
-    encoding = getattr(sys.__stdout__, "encoding", "ascii")
+    @property
+    def encoding(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return getattr(sys.__stdout__, "encoding", "ascii")
 
     def isatty(self) -> bool:
         return bool(sys.__stdout__ and sys.__stdout__.isatty())
@@ -181,7 +183,7 @@ def _answer(command: Command, bars: Bars) -> Told:
     if isinstance(command, View):
         from gsc_jax.app.viewer import run_view
 
-        return run_view(command, progress=bars, say=print)
+        return run_view(command, progress=bars, say=functools.partial(print, flush=True))
     if command.dry_run:
         return dry_run(command, progress=bars)
     located = run_locate(command, progress=bars)

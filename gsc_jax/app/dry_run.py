@@ -38,7 +38,7 @@ def dry_run(options: Locate, *, progress: Progress = silent) -> tuple[list[str],
     loading = time.perf_counter() - begin
     trial = try_out(plan, progress=progress)
     return [
-        "A dry run: nothing was written.",
+        f"A dry run: nothing was written to {options.out}.",
         f"scene    {options.scene}: {len(plan.scene.gaussians):,} Gaussians",
         f"views    {_views(plan)}",
         *(f"{name:8} {said}" for name, said in _asked(plan, trial)),

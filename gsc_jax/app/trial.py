@@ -78,13 +78,14 @@ class _StandIn:
         return flagged
 
 
-class _Clock:
+class Clock:
     """Notes when the steps of each stage of a run are done."""
 
     def __init__(self) -> None:
         self.times: dict[str, list[float]] = {}
 
     def __call__(self, stage: str, done: int, total: int) -> None:
+        """Notes one, as the `Progress` of a run."""
         del done, total
         self.times.setdefault(stage, []).append(time.perf_counter())
 
@@ -109,7 +110,7 @@ def try_out(plan: Plan, *, progress: Progress = silent) -> Trial:
     tried = evenly(usable, TRIED)
     stand_in = _StandIn(needs_image=asked.network is not None)
     progress("try", 0, 4)
-    native = _native(plan.scene.gaussians) if asked.native else _Native()
+    native = _native(plan.scene.gaussians) if asked.native else Asking()
     progress("try", 1, 4)
     compiling = _round(plan, tried, stand_in)
     progress("try", 2, 4)
@@ -119,8 +120,11 @@ def try_out(plan: Plan, *, progress: Progress = silent) -> Trial:
     compiled = _round(plan, tried, stand_in)
     network = try_network(asked, stand_in.shown) if asked.network else None
     progress("try", 4, 4)
-    few, many = _looks(plan, len(usable), network)
-    least, most = (_seconds(plan, compiled, writing, looks, network) for looks in (few, many))
+    few, many = looks_of(plan, len(usable), network)
+    views = len(plan.cameras)
+    least, most = (
+        seconds_by_stage(views, compiled, writing, looks, network) for looks in (few, many)
+    )
     if isinstance(asked.config, RobustConfig):
         least["optimise"] = compiled.optimise * len(few)
         more = sum(look - len(tried) for look in many) / MORE_TO_OPTIMISE
@@ -136,7 +140,7 @@ def try_out(plan: Plan, *, progress: Progress = silent) -> Trial:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class _Round:
+class Round:
     """The views tried, from the look to the masks: seconds, by view but to optimise."""
 
     look: float
@@ -146,11 +150,12 @@ class _Round:
 
     @property
     def seconds(self) -> float:
+        """All of it, by the clock on the wall."""
         return self.result.seconds
 
 
-def _round(plan: Plan, tried: list[Camera], stand_in: _StandIn) -> _Round:
-    clock = _Clock()
+def _round(plan: Plan, tried: list[Camera], stand_in: _StandIn) -> Round:
+    clock = Clock()
     result = locate(
         plan.scene.gaussians,
         tried,
@@ -160,7 +165,7 @@ def _round(plan: Plan, tried: list[Camera], stand_in: _StandIn) -> _Round:
         progress=clock,
     )
     seconds = result.stages["optimise"]["seconds"]
-    return _Round(
+    return Round(
         look=clock.since("look", 0) / len(tried),
         optimise=seconds,
         masks=result.stages["masks"]["seconds"] / len(tried) / WORKERS,
@@ -169,7 +174,7 @@ def _round(plan: Plan, tried: list[Camera], stand_in: _StandIn) -> _Round:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class _Writing:
+class Writing:
     """What writing the views tried took: once, and for each view, in seconds and bytes."""
 
     once: float
@@ -178,10 +183,11 @@ class _Writing:
     bytes_each: float
 
     def bytes(self, views: int) -> int:
+        """Of the results of so many views."""
         return round(self.bytes_once + self.bytes_each * views)
 
 
-def _write(plan: Plan, tried: list[Camera], result: Result) -> _Writing:
+def _write(plan: Plan, tried: list[Camera], result: Result) -> Writing:
     """Writes the results of the views tried, where nobody looks for them."""
     located = Located(
         scene=plan.scene,
@@ -191,7 +197,7 @@ def _write(plan: Plan, tried: list[Camera], result: Result) -> _Writing:
         seconds=result.seconds,
         warnings=result.warnings,
     )
-    command, clock = dataclasses.asdict(plan.asked.options), _Clock()
+    command, clock = dataclasses.asdict(plan.asked.options), Clock()
     with tempfile.TemporaryDirectory(prefix="gsc-jax-") as name:
         folder, begin = Path(name), time.perf_counter()
         write_results(folder, plan.scene, tried, result, progress=clock)
@@ -200,7 +206,7 @@ def _write(plan: Plan, tried: list[Camera], result: Result) -> _Writing:
         sizes = {name: (folder / name).stat().st_size for name in files_below(folder)}
     by_view = clock.since("write", 1) + clock.since("report", 0)
     pictures = sum(size for name, size in sizes.items() if name.split("/")[0] in BY_CAMERA)
-    return _Writing(
+    return Writing(
         once=all_of_it - by_view,
         each=by_view / len(tried),
         bytes_once=sum(sizes.values()) - pictures,
@@ -209,7 +215,7 @@ def _write(plan: Plan, tried: list[Camera], result: Result) -> _Writing:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class _Native:
+class Asking:
     """What asking all of the Gaussians takes: seconds, those to compile, and the memory peak."""
 
     seconds: float = 0.0
@@ -217,7 +223,7 @@ class _Native:
     peak_mib: float = 0.0
 
 
-def _native(gaussians: Gaussians) -> _Native:
+def _native(gaussians: Gaussians) -> Asking:
     """Asks some of the Gaussians, and more of them: part of it is the same for any number."""
     rng, count = np.random.default_rng(0), len(gaussians)
 
@@ -234,14 +240,14 @@ def _native(gaussians: Gaussians) -> _Native:
         more = seconds(many)
         each = max(more - all_of_them, 0.0) / (many - few)
         all_of_them = more + each * (count - many)
-    return _Native(
+    return Asking(
         seconds=all_of_them,
         compiling=compiling,
         peak_mib=peak_memory_mib() + NATIVE_BYTES * (count - many) / 2**20,
     )
 
 
-def _looks(plan: Plan, usable: int, network: Network | None) -> tuple[list[int], list[int]]:
+def looks_of(plan: Plan, usable: int, network: Network | None) -> tuple[list[int], list[int]]:
     """Numbers of views after which the estimator is asked: at least and at most."""
     config = plan.asked.config
     if plan.asked.detector is None:
@@ -252,15 +258,15 @@ def _looks(plan: Plan, usable: int, network: Network | None) -> tuple[list[int],
     return all_of_them[:2], all_of_them
 
 
-def _seconds(
-    plan: Plan,
-    measured: _Round,
-    writing: _Writing,
+def seconds_by_stage(
+    views: int,
+    measured: Round,
+    writing: Writing,
     looks: Sequence[int],
     network: Network | None,
 ) -> dict[str, float]:
     """Seconds of each stage of the whole run but the first, where all grow with the views."""
-    judged, views, tried = max(looks, default=0), len(plan.cameras), len(measured.result.masks)
+    judged, tried = max(looks, default=0), len(measured.result.masks)
     asked = network.seconds * (1 - network.kept / network.tried) if network else 0.0
     return {
         "look": judged * (measured.look + asked),

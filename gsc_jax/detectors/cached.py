@@ -82,7 +82,7 @@ class CachedDetector:
         """
         if image is None:
             return self.detector(image, camera)
-        path = self.folder / f"{self._digest(image)}.npz"
+        path = self._path(image)
         found = self._read(path)
         if found is None:
             probability = np.asarray(self.detector(image, camera), np.float32)
@@ -92,6 +92,14 @@ class CachedDetector:
         if note is not None:
             self._notes[camera.name] = note
         return probability
+
+    def holds(self, image: np.ndarray) -> bool:
+        """Whether the detector need not be asked about a view.
+
+        Args:
+            image: The rendered view, shape (H, W, 3).
+        """
+        return self._path(image).exists()
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -110,11 +118,12 @@ class CachedDetector:
         """The detector's notes by view, or nobody's."""
         return getattr(self.detector, "notes", {})
 
-    def _digest(self, image: np.ndarray) -> str:
+    def _path(self, image: np.ndarray) -> Path:
+        """Where the answer to an image is, or will be."""
         facts = f"{self._key} {image.shape} {image.dtype}"
         digest = hashlib.blake2b(facts.encode(), digest_size=16)
         digest.update(np.ascontiguousarray(image).data)
-        return digest.hexdigest()
+        return self.folder / f"{digest.hexdigest()}.npz"
 
     def _read(self, path: Path) -> tuple[np.ndarray, Any] | None:
         """A probability and the note on it, None if there is none that can be read."""

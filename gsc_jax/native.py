@@ -87,7 +87,12 @@ class Native:
     def prior(self) -> Prior:
         """What this is to the robust estimator: edits need not show, so silence says nothing."""
         certain = min(max(self.verdict, 0.5), 1 - 1e-6)
-        return Prior(log_odds=self.log_odds, scene=math.log(certain / (1 - certain)))
+        traced = any(trace.found for trace in self.traces)
+        return Prior(
+            log_odds=self.log_odds,
+            scene=math.log(certain / (1 - certain)),
+            exact=combined(self.traces) if traced else None,
+        )
 
     @property
     def without_traces(self) -> "Native":

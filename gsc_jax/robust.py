@@ -103,10 +103,12 @@ class Prior:
     Attributes:
         log_odds: That a Gaussian is tampered, shape (N,).
         scene: Log odds that anything was tampered with, if half of all scenes are.
+        exact: Probability by exact traces of editing alone, shape (N,); None where there are none.
     """
 
     log_odds: np.ndarray
     scene: float
+    exact: np.ndarray | None = None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -148,16 +150,20 @@ def find_robust(
     if clear:
         return dataclasses.replace(clear, verdict=verdict(float(clear.labels.any()), views))
     found = estimate(evidence, means, config, prior)
-    labels = found.probability > config.threshold
+    probability = found.probability
     # What no Gaussian is found in speaks for nothing, however often it was flagged.
-    certain = verdict(0.0, views)
-    if found.roles and labels.any():
-        certain = verdict(found.roles.rate, found.roles.views)
+    shown = verdict(0.0, views)
+    if found.roles and (probability > 0.5).any():
+        shown = verdict(found.roles.rate, found.roles.views)
+    certain = shown
     if prior is not None:
-        certain = both(certain, config.native * prior.scene)
+        certain = both(shown, config.native * prior.scene)
+        if prior.exact is not None:  # then what the masks add is as sure as the masks are
+            traced = np.where(found.seen, prior.exact, 0)
+            probability = shown * probability + (1 - shown) * traced
     believed = certain >= config.doubt
-    tamper, labels = found.probability * believed, labels & believed
-    within = np.clip(found.probability.astype(np.float64), 1e-9, 1 - 1e-9)
+    tamper, labels = probability * believed, (probability > config.threshold) & believed
+    within = np.clip(probability.astype(np.float64), 1e-9, 1 - 1e-9)
     return Finding(
         attribute=np.where(found.seen, np.log(within / (1 - within)), 0.0).astype(np.float32),
         tamper=tamper,
@@ -165,7 +171,7 @@ def find_robust(
         group_sizes=np.zeros((0, 3), np.int32),
         verdict=certain,
         reliability=_reliability(found.roles) if labels.any() else (),
-        warnings=_doubts(found.roles, labels, certain),
+        warnings=_doubts(found.roles, labels, shown, certain),
     )
 
 
@@ -182,18 +188,21 @@ def _reliability(roles: Roles | None) -> tuple[Reliability, ...]:
     return tuple(np.where(roles.inverted, "inverted", told).tolist())
 
 
-def _doubts(roles: Roles | None, labels: np.ndarray, certain: float) -> list[str]:
-    """What a user should know before believing the labels."""
+def _doubts(roles: Roles | None, labels: np.ndarray, shown: float, certain: float) -> list[str]:
+    """What a user should know before believing the labels, by the views alone and by all."""
     if roles is None:
         return [DISAGREE]
     warnings = []
     if not labels.any():
         often = f" None was flagged in more than {roles.rate:.0%} of those that see it."
         warnings.append(DISAGREE + often)
-    elif certain < 0.5:
+    elif shown < 0.5:
+        so = "perhaps nothing was tampered with"
+        if certain >= 0.5:
+            so = "that something was tampered with is said by the Gaussians themselves"
         warnings.append(
-            f"What is labelled was flagged in {roles.rate:.0%} of the views that see it, as often "
-            "happens to authentic things: perhaps nothing was tampered with."
+            f"What the masks agree on was flagged in {roles.rate:.0%} of the views that see it, as "
+            f"often happens to authentic things: {so}."
         )
     if roles.inverted.mean() > 0.5:
         warnings.append(

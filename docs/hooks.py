@@ -1,4 +1,4 @@
-"""What MkDocs asks while it builds the site: the help texts, as the program prints them.
+"""What MkDocs asks while it builds the site: help texts as the program prints them, whole numbers.
 
 Where a page says `<!-- help -->` there follows what `gsc-jax --help` and the help of each of its
 commands print, so that the page and the program cannot disagree.
@@ -16,14 +16,15 @@ PLACE = "<!-- help -->"
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Puts the help texts where a page asks for them.
+    """Puts the help texts where a page asks for them, and keeps a value and its spread together.
 
     Args:
         markdown: The page.
 
     Returns:
-        The page with the help texts in it.
+        The page for the site.
     """
+    markdown = markdown.replace(" ± ", "\u00a0±\u00a0")
     return markdown.replace(PLACE, all_help()) if PLACE in markdown else markdown
 
 

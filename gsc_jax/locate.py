@@ -273,7 +273,7 @@ def _disagreement(flagged: Mapping[str, np.ndarray], masks: Mapping[str, np.ndar
         return []
     return [
         f"The detector flags {said:.1%} of what the views show, of which {found:.2%} was "
-        "confirmed: its masks disagree. A smaller lambda2, or `robust`, asks for less agreement."
+        "confirmed: its masks disagree. A smaller lambda2, or the method robust, asks for less."
     ]
 
 

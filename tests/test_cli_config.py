@@ -151,7 +151,7 @@ def test_the_gaussians_may_be_given_no_say(case, tmp_path):
     [
         ("[command]\nvews = 3", ("command: unknown key 'vews'", "'views'?")),
         ("[config]\ntreshold = 0.3", ("config: unknown key 'treshold'", "'threshold'?")),
-        ("views = 3", ("unknown key 'views'", "command, config")),
+        ("views = 3", ("'views' is in no table", "[command]")),
         ("[command]\nviews = 'all'", ("command.views:", "a whole number or null", "'all'")),
         ("[command]\nviews = true", ("command.views:", "a whole number", "True")),
         ("[command]\nscale = 'big'", ("command.scale:", "a number", "'big'")),
@@ -178,7 +178,7 @@ def test_the_gaussians_may_be_given_no_say(case, tmp_path):
         ),
         ("[command]\nseed = 1\n[config]\nseed = 2", ("seed twice",)),
         ("[command]\nviews = 2\n[config]\ntolerance = 0.1", ("config.tolerance 0.1",)),
-        ("[command", ("no TOML",)),
+        ("[command", ("not valid TOML",)),
     ],
 )
 def test_files_that_say_nothing_sensible(case, tmp_path, text, expected):
@@ -195,7 +195,7 @@ def test_files_that_say_nothing_sensible(case, tmp_path, text, expected):
     [
         ("run.yaml", "a: 1", "expected a .toml or .json"),
         ("run.json", "[]", "holds no tables"),
-        ("run.json", "{", "no JSON"),
+        ("run.json", "{", "not valid JSON"),
         ("run.toml", None, "no such file"),
         ("edit.json", '{"command": {"edit": "removal"}}', "unknown key 'edit'"),
     ],

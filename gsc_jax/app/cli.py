@@ -12,7 +12,6 @@ import importlib.metadata
 import io
 import operator
 import os
-import re
 import shutil
 import sys
 import textwrap
@@ -128,10 +127,25 @@ def _typed(form: Any, argv: Sequence[str], **options: Any) -> Any:
         if not stop.code:
             print(_wrapped(helptext.getvalue()), end="")
             raise
-        title, _, text = complaint.getvalue().strip().partition("\n")
-        frame = re.compile(r"[╭╮╰╯│─•]+")
-        parts = [" ".join(frame.sub(" ", part).split()) for part in (title, text)]
-        raise InputError(": ".join(parts)) from None
+        raise InputError(_complained(complaint.getvalue(), argv)) from None
+
+
+def _complained(text: str, argv: Sequence[str]) -> str:
+    """What tyro complains of in a frame, in a line: without the help of what it names."""
+    inside = [line.strip("│").rstrip() for line in text.splitlines()[1:-1]]
+    sections = "\n".join(inside).split("─" * 20)
+    said = []
+    for section in sections:
+        first = section.strip("─\n ").partition("\n\n")[0]
+        lines = [line.strip() for line in first.splitlines() if not line.startswith(HELP_INDENT)]
+        if lines and not lines[0].startswith(("For full helptext", "Argument helptext")):
+            said.append(" ".join(lines).rstrip("."))
+    command = f" {argv[0]}" if argv and argv[0] in NAMES else ""
+    return f"{'; '.join(filter(None, said))}; see gsc-jax{command} --help"
+
+
+HELP_INDENT = " " * 8
+"""How tyro indents what an option is for, below its name."""
 
 
 class _Page(io.StringIO):

@@ -1,7 +1,7 @@
 """`gsc-jax locate --dry-run`: what would be done, and how long it would take, in lines."""
 
-import os
 import shutil
+import tempfile
 import time
 from pathlib import Path
 
@@ -50,7 +50,7 @@ def dry_run(options: Locate, *, progress: Progress = silent) -> tuple[list[str],
 
 
 def check_writable(out: Path) -> None:
-    """Refuses a folder of results that could not be written to, without trying.
+    """Refuses a folder of results that could not be written to.
 
     Raises:
         InputError: naming the folder.
@@ -58,8 +58,12 @@ def check_writable(out: Path) -> None:
     there = _existing(out)
     if not there.is_dir():
         raise InputError(f"{out}: cannot be written to ({there} is a file); choose another place")
-    if not os.access(there, os.W_OK | os.X_OK):
-        raise InputError(f"{out}: cannot be written to (permission denied); choose another place")
+    try:
+        tempfile.TemporaryFile(dir=there).close()  # a name that nobody sees, and gone at once
+    except OSError as error:
+        raise InputError(
+            f"{out}: cannot be written to ({error.strerror or error}); choose another place"
+        ) from error
 
 
 def _existing(path: Path) -> Path:

@@ -4,6 +4,7 @@ The mark must show on any background and to any eye: a tint between red and mage
 is light with dark on either side of it.
 """
 
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -95,7 +96,9 @@ def contact_sheet(
             axes.set(xticks=[], yticks=[])
     for axes, title in zip(table[0], titles, strict=True):
         axes.set_title(title, fontsize=10)
-    with atomic(path) as temporary:
+    with atomic(path) as temporary, warnings.catch_warnings():
+        # A camera may be called anything; what the font lacks is drawn as a box.
+        warnings.filterwarnings("ignore", "Glyph .* missing from font", UserWarning)
         figure.savefig(temporary)
 
 

@@ -79,6 +79,7 @@ def read_settings(path: str | Path) -> Settings:
     said = _read(existing_file(path, expected="a configuration (.toml or .json)"))
     report = "versions" in said and "outputs" in said  # by its other keys a result.json
     if not report:
+        _refuse_bare_options(path, said)
         known_keys(said, ["command", "config"], str(path))
     command = checked(said.get("command", {}), Locate, f"{path}: command")
     command.pop("config", None)  # what that one said is in the other table
@@ -91,6 +92,14 @@ def read_settings(path: str | Path) -> Settings:
     return Settings(path=path, method=method, command=command, config=config)
 
 
+def _refuse_bare_options(path: Path, said: Mapping[str, Any]) -> None:
+    """Refuses options that belong into the table `command`."""
+    options = {field.name for field in dataclasses.fields(Locate)}
+    for key in said:
+        if key in options - {"config"}:
+            raise InputError(f"{path}: {key!r} is in no table; put it below a line [command]")
+
+
 def _read(path: Path) -> dict[str, Any]:
     readers = {".json": json.loads, ".toml": tomllib.loads}
     read = readers.get(path.suffix.lower())
@@ -100,7 +109,9 @@ def _read(path: Path) -> dict[str, Any]:
         said = read(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as error:  # also of text that is not UTF-8
         kind = path.suffix[1:].upper()
-        raise InputError(f"{path}: no {kind} ({error}); mend or write it again") from error
+        raise InputError(
+            f"{path}: is not valid {kind} ({error}); mend it or write it again"
+        ) from error
     if not isinstance(said, dict):
         raise InputError(f"{path}: holds no tables, expected command and config")
     return said

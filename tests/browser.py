@@ -1,13 +1,18 @@
 """A real headless browser for the pages that people see: Debian's Chromium, driven by Selenium.
 
-Tests ask for the fixture `browser`, which is skipped where there is none. Of each page it is known
-what the console complained of and what was asked of the network.
+Tests ask for the fixture `browser`, which is skipped where there is none; files that import this
+module are skipped where Selenium is not installed. Of each page it is known what the console
+complained of and what was asked of the network.
 """
 
 import json
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
+
+import pytest
+
+pytest.importorskip("selenium")
 
 from selenium.webdriver import Chrome, ChromeOptions, ChromeService
 

@@ -2,11 +2,14 @@
 
 import contextlib
 from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
 
 import hypothesis
 import jax
 import pytest
-from browser import CHROMIUM, DRIVER, Browser, opened
+
+if TYPE_CHECKING:
+    from browser import Browser
 
 COMPILED: list[str] = []
 
@@ -49,8 +52,10 @@ def count_compilations() -> Callable[[], contextlib.AbstractContextManager[list[
 
 
 @pytest.fixture(scope="module")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator["Browser"]:
     """A headless browser for the tests of one file."""
+    from browser import CHROMIUM, DRIVER, opened  # which needs Selenium
+
     if not (CHROMIUM and DRIVER):
         pytest.skip("no browser: Debian's packages chromium and chromium-driver are not installed")
     yield from opened(tmp_path_factory.mktemp("browser"))

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gsc_jax.errors import InputError
-from gsc_jax.io.cameras import load_cameras, save_cameras
+from gsc_jax.io.cameras import camera_files, load_cameras, save_cameras
 from gsc_jax.scene import Camera
 
 SCENES = Path(__file__).parents[1] / "../shared/data/scenes"
@@ -203,6 +203,19 @@ def test_incomplete_colmap_models_and_a_missing_pycolmap(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pycolmap", None)
     with pytest.raises(InputError, match=r"pip install 'gsc_jax\[colmap\]'"):
         load_cameras(folder)
+
+
+def test_the_files_that_cameras_are_read_from(tmp_path):
+    model = tmp_path / "sparse" / "0"
+    model.mkdir(parents=True)
+    for name in ("cameras.bin", "images.bin", "points3D.bin"):
+        (model / name).touch()
+    assert camera_files(tmp_path) == [model / "cameras.bin", model / "images.bin"]
+    save_cameras(tmp_path / "cameras.json", [random_camera()])
+    for path in (tmp_path, tmp_path / "cameras.json"):
+        assert camera_files(path) == [tmp_path / "cameras.json"]
+    with pytest.raises(InputError, match="no such file or folder"):
+        camera_files(tmp_path / "missing")
 
 
 def test_in_a_folder_cameras_json_is_preferred_and_others_must_be_alone(tmp_path):

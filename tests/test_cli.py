@@ -2,7 +2,9 @@
 
 import dataclasses
 import json
+import os
 import shutil
+import sys
 
 import imageio.v3 as iio
 import numpy as np
@@ -12,6 +14,7 @@ from plyfile import PlyData
 
 from gsc_jax.app import outputs
 from gsc_jax.app.pictures import jpeg_path
+from gsc_jax.app.publish import BY_CAMERA, FILES
 from gsc_jax.benchmark.metrics import f1_score
 from gsc_jax.io.cameras import load_cameras
 from gsc_jax.io.masks import image_path, read_probability, write_mask
@@ -42,11 +45,12 @@ def test_all_files_are_there_and_no_others(found):
         jpeg_path(kind, name).as_posix() for kind in ("render", "overlay") for name in NAMES
     ]
     plain = ["tamper.ply", "highlight.ply", "labels.npy", "tamper.npy", "result.json"]
-    plain += ["report.html", "overview.png"]
+    plain += ["report.html", "overview.png", "views.json"]
     files = {p.relative_to(out).as_posix() for p in out.rglob("*") if p.is_file()}
     assert files == {*per_camera, *looked_at, *plain}
     assert [path for path in out.iterdir() if path.name.startswith(".")] == []
     assert report(out)["outputs"] == sorted(files)
+    assert {*FILES, *BY_CAMERA} == {name.split("/")[0] for name in files}
 
 
 def test_the_object_is_found(case, found):
@@ -182,14 +186,35 @@ def test_a_second_run_replaces_the_first_and_nothing_else(case, tmp_path):
     assert said["views"] == 1
 
 
-def test_what_a_run_is_given_is_never_removed(case, tmp_path):
-    # An earlier run placed cameras and wrote them; this one is given them.
+def test_the_cameras_may_lie_among_the_results(case, tmp_path):
+    """Those of a folder are one file of it, and masks that are no longer made are removed."""
     shutil.copy(case / "cameras.json", tmp_path)
-    (tmp_path / "result.json").write_text(json.dumps({"outputs": ["cameras.json"]}))
-    assert run(*given(case, cameras=tmp_path / "cameras.json"), "--out", tmp_path).code == 0
-    assert (tmp_path / "cameras.json").is_file()
-    assert run(*given(case), "--out", tmp_path).code == 0
-    assert report(tmp_path)["views"] == 3
+    (tmp_path / "evaluation.json").write_text("of nothing that is known here")
+    assert run(*given(case, cameras=tmp_path), "--out", tmp_path).code == 0
+    assert (tmp_path / "evaluation.json").exists()
+    assert run(*given(case, cameras=tmp_path, views=1), "--out", tmp_path).code == 0
+    assert report(tmp_path)["views"] == 1
+    assert len(list((tmp_path / "masks").rglob("*.png"))) == 1
+    assert (tmp_path / "cameras.json").read_bytes() == (case / "cameras.json").read_bytes()
+    assert not (tmp_path / "evaluation.json").exists(), "the scores are those of another run"
+    (tmp_path / "cameras.json").unlink()
+    again = given(case, cameras=tmp_path / "views.json")
+    assert "another --out" in refused(*again, "--out", tmp_path)
+    assert run(*again, "--out", tmp_path / "out").code == 0
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="file names are text here")
+def test_paths_need_not_be_text(case, tmp_path):
+    scene = tmp_path / os.fsdecode(b"sc\xff.ply")
+    shutil.copy(case / "scene.ply", scene)
+    out = tmp_path / os.fsdecode(b"\xfe")
+    assert run(*given(case, scene=scene), "--out", out).code == 0
+    said = report(out)
+    assert said["command"]["scene"] == str(tmp_path / r"sc\xff.ply")
+    assert r"sc\xff.ply: left out 2" in said["warnings"][0]
+    assert r"sc\xff.ply" in (out / "report.html").read_text(encoding="utf-8")
+    assert run("evaluate", out, "--truth", case / "truth.npy").code == 0
+    assert json.loads((out / "evaluation.json").read_bytes())["folder"] == str(tmp_path / r"\xfe")
 
 
 def test_the_scene_may_be_an_earlier_result(case, found, tmp_path):

@@ -211,6 +211,14 @@ def test_an_output_folder_that_cannot_be_written(case, tmp_path, command):
     assert (tmp_path / "file").read_text() == "in the way"
 
 
+@pytest.mark.parametrize("name", ["\udcff", "a\ud800.JPG"])
+def test_a_camera_whose_name_is_no_text(case, tmp_path, name):
+    cameras = load_cameras(case / "cameras.json")
+    save_cameras(tmp_path / "cameras.json", [dataclasses.replace(cameras[0], name=name)])
+    message = refused(*given(case, cameras=tmp_path / "cameras.json"), "--out", tmp_path / "out")
+    assert f"{tmp_path / 'cameras.json'}: camera {name!r}: is no text" in message
+
+
 @pytest.mark.parametrize("clash", ["masks", "detector"])
 def test_results_never_overwrite_what_is_read(case, tmp_path, clash):
     shutil.copytree(case / "masks", tmp_path / clash)
@@ -277,7 +285,13 @@ def test_our_own_faults_are_not_hidden(case, tmp_path, monkeypatch):
         run(*given(case), "--out", tmp_path / "out")
 
 
-@pytest.mark.parametrize("listed", ["no list", ["../mine.png", "/mine.png", "", 3, "notes/x.png"]])
+@pytest.mark.parametrize(
+    "listed",
+    [
+        *("no list", 3, [3], [""], ["result.json", "masks", "masks/a\0.png"]),
+        ["../mine.png", "/mine.png", "masks/../../mine.png", ".png", "notes/x.png"],
+    ],
+)
 def test_a_foreign_result_json_removes_nothing(case, tmp_path, listed):
     out = tmp_path / "out"
     (out / "notes").mkdir(parents=True)

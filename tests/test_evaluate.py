@@ -121,14 +121,51 @@ def test_nothing_tampered_anywhere(folder, tmp_path):
     assert "No view shows anything tampered" in answer.out
     assert "Of the 3 authentic views" in answer.out
     assert numbers(folder)["gaussians"]["auc"] is None
+    assert "nan" not in answer.out
     assert numbers(folder)["views"]["found"]["f1"] is None
 
 
-def test_cameras_that_are_gone_do_not_matter(case, folder):
-    report = json.loads((folder / "result.json").read_text())
-    report["command"]["cameras"] = "gone.json"
-    (folder / "result.json").write_text(json.dumps(report))
-    assert run("evaluate", folder, "--truth", case / "masks").code == 0
+def test_a_detector_that_judged_some_views_is_compared_on_these(case, folder, tmp_path):
+    """It is right in the one view that it judged, where half was found; elsewhere all was."""
+    truth = {name: mask(case / "masks", name) for name in NAMES}
+    whole = truth[NAMES[0]]
+    half = whole & (np.cumsum(whole).reshape(whole.shape) <= whole.sum() / 2)
+    for name in NAMES:
+        write_mask(image_path(folder / "masks", name), half if name == NAMES[0] else truth[name])
+        image_path(folder / "detector", name).unlink()
+    write_mask(image_path(folder / "detector", NAMES[0]), whole)
+    answer = run("evaluate", folder, "--truth", case / "masks")
+    views = numbers(folder)["views"]
+    judged = views["found"]["per_view"][NAMES[0]]["f1"]
+    assert 0.6 < judged < 0.7
+    assert views["found_where_judged"]["f1"] == pytest.approx(judged)
+    assert views["found"]["f1"] == pytest.approx((judged + 2) / 3, abs=1e-3)
+    rows = {line[:24].strip(): line[24:].split() for line in answer.out.splitlines()}
+    assert rows["mean of 3"][0] == f"{views['found']['f1']:.3f}"
+    assert rows["mean of 3"][4:] == ["-", "-"]
+    assert rows["mean of the 1 judged"][0] == f"{judged:.3f}"
+    assert rows["mean of the 1 judged"][4:] == ["1.000", "1.000"]
+    for name in NAMES[1:]:
+        assert rows[name][4:] == ["-", "-"]
+
+
+def test_flagged_areas_are_compared_on_the_views_that_were_judged(case, folder, tmp_path):
+    """All views but the second are authentic, and the detector judged the last."""
+    nothing = np.zeros((40, 48), bool)
+    for name, flagged in zip(NAMES, (12, 0, 24), strict=True):
+        truth = mask(case / "masks", name) if name == NAMES[1] else nothing
+        write_mask(image_path(tmp_path / "truth", name), truth)
+        write_mask(image_path(folder / "masks", name), np.arange(48) < np.full((40, 1), flagged))
+        image_path(folder / "detector", name).unlink()
+    write_mask(image_path(folder / "detector", NAMES[2]), ~nothing)
+    answer = run("evaluate", folder, "--truth", tmp_path / "truth")
+    assert (
+        "Of the 2 authentic views, 37.5% was found; of the 1 that the 2D detector judged, 50.0%, "
+        "and 100% flagged by the 2D detector."
+    ) in answer.out
+    assert "nan" not in answer.out, "no tampered view was judged"
+    assert "judged  " not in answer.out
+    assert numbers(folder)["views"]["found_where_judged"]["f1"] is None
 
 
 @pytest.mark.parametrize(

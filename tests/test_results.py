@@ -1,20 +1,23 @@
 """Folders of results: read back as they were found, or refused in one line."""
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 from results_folder import BROKEN, COUNT, rewrite_report, write_results
+from scipy.spatial.transform import Rotation
 from strategies import random_scene, with_row
 
 from gsc_jax.app.options import Locate
 from gsc_jax.app.results import read_results
 from gsc_jax.app.run import run_locate
 from gsc_jax.errors import InputError
-from gsc_jax.io.cameras import save_cameras
+from gsc_jax.io.cameras import load_cameras, save_cameras
 from gsc_jax.io.masks import image_path, write_mask
 from gsc_jax.io.ply import save_ply
+from gsc_jax.scene import Camera
 from gsc_jax.views import orbit_cameras
 
 
@@ -64,7 +67,6 @@ class TestWhatLocateWrote:
         np.testing.assert_array_equal(results.tamper, located.result.tamper)
         np.testing.assert_array_equal(results.labels, located.result.labels)
         assert results.total == len(results.rows) + 1 == 200
-        assert results.notes == []
 
     def test_the_cameras_are_those_looked_from_at_their_size(self, found):
         located, results = found
@@ -90,26 +92,29 @@ class TestAFolder:
         assert results.tamper.dtype == np.float32
         assert results.labels.dtype == bool
 
-    def test_an_orbit_is_read_from_the_folder_itself(self, folder):
-        cameras = write_results(folder)
-        save_cameras(folder / "cameras.json", cameras)
-        rewrite_report(folder, command={"cameras": None, "scale": 0.5})
-        read = read_results(folder).cameras
-        assert [(c.name, c.width) for c in read] == [(c.name, c.width) for c in cameras]
+    def test_it_may_be_read_from_anywhere(self, found, tmp_path, monkeypatch):
+        """Where other cameras of the same names lie at the path that the run was given."""
+        located, results = found
+        moved = shutil.copytree(results.folder, tmp_path / "moved")
+        others = orbit_cameras(random_scene(200, degree=0), 4, width=64, height=48, seed=1)
+        save_cameras(tmp_path / "cameras.json", others)
+        rewrite_report(moved, command=results.report["command"] | {"cameras": "cameras.json"})
+        monkeypatch.chdir(tmp_path)
+        for read, used in zip(read_results("moved").cameras, located.cameras, strict=True):
+            np.testing.assert_allclose(read.viewmat, used.viewmat, atol=1e-6)
 
-    def test_cameras_that_are_gone_leave_a_note(self, folder):
-        (folder / "given.json").unlink()
-        results = read_results(folder)
-        assert results.cameras == []
-        assert len(results.notes) == 1
-        assert "given.json" in results.notes[0]
-
-    def test_a_camera_that_is_gone_leaves_a_note(self, folder):
-        stored = json.loads((folder / "given.json").read_text())
-        (folder / "given.json").write_text(json.dumps(stored[1:]))
-        results = read_results(folder)
-        assert [camera.name for camera in results.cameras] == ["view/1.JPG", "view/2.JPG"]
-        assert "lacks 1 of 3 cameras" in results.notes[0]
+    def test_cameras_keep_their_principal_point_and_a_rotation_that_was_rounded(self, tmp_path):
+        """Three decimals, as some files have, and far from the origin."""
+        turned = Rotation.from_rotvec([0.3, -0.8, 0.5]).as_matrix().round(3)
+        viewmat = np.eye(4, dtype=np.float32)
+        viewmat[:3, :3], viewmat[:3, 3] = turned, (100, -50, 20)
+        K = np.array([[61.5, 0, 17.25], [0, 60, 12.75], [0, 0, 1]], np.float32)
+        camera = Camera(viewmat=viewmat, K=K, width=32, height=24, name="a/ü.JPG")
+        save_cameras(tmp_path / "views.json", [camera])
+        (read,) = load_cameras(tmp_path / "views.json")
+        np.testing.assert_allclose(read.viewmat, viewmat, rtol=1e-6, atol=1e-6)
+        np.testing.assert_array_equal(read.K, K)
+        assert (read.width, read.height, read.name) == (32, 24, "a/ü.JPG")
 
 
 class TestRefusals:
@@ -124,7 +129,7 @@ class TestRefusals:
         (folder / "result.json").write_text(text)
         assert "damaged" in refusal(folder)
 
-    @pytest.mark.parametrize("key", ["config", "counts", "command", "per_view"])
+    @pytest.mark.parametrize("key", ["config", "counts", "per_view"])
     def test_a_report_of_another_version(self, folder, key):
         rewrite_report(folder, **{key: None})
         assert key in refusal(folder)
@@ -133,10 +138,10 @@ class TestRefusals:
         (folder / "result.json").write_text("[]")
         assert "version" in refusal(folder)
 
-    @pytest.mark.parametrize("name", ["tamper.ply", "tamper.npy", "labels.npy"])
+    @pytest.mark.parametrize("name", ["tamper.ply", "tamper.npy", "labels.npy", "views.json"])
     def test_a_missing_file(self, folder, name):
         (folder / name).unlink()
-        assert name in refusal(folder)
+        assert f"{folder / name}: no such file" in refusal(folder)
 
     @pytest.mark.parametrize("content", [b"", b"\x93NUMPY\x01\x00", b"nonsense"])
     def test_a_damaged_array(self, folder, content):
@@ -154,6 +159,14 @@ class TestRefusals:
     def test_labels_that_are_no_labels(self, folder):
         np.save(folder / "labels.npy", np.zeros(COUNT, np.float32))
         assert "labels.npy" in refusal(folder)
+
+    @pytest.mark.parametrize("change", [{"img_name": "other"}, {"width": 81}])
+    def test_cameras_of_another_run(self, folder, change):
+        stored = json.loads((folder / "views.json").read_text())
+        (folder / "views.json").write_text(json.dumps([stored[0] | change, *stored[1:]]))
+        assert "different runs" in refusal(folder)
+        (folder / "views.json").write_text(json.dumps(stored[1:]))
+        assert "has not the 3 cameras" in refusal(folder)
 
     def test_labels_of_another_run(self, folder):
         np.save(folder / "labels.npy", np.zeros(COUNT, bool))

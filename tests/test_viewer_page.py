@@ -1,16 +1,14 @@
 """What the viewer shows, in a real browser: the page that is served and the one that is written."""
 
-import base64
 import dataclasses
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import imageio.v3 as iio
 import numpy as np
 import pytest
-import viser
-from browser import Browser
+from canvas import PATIENCE, Shown, blue, opened, orange, red
 from results_folder import write_results
 from selenium.webdriver import ActionChains
 from selenium.webdriver.common.by import By
@@ -19,84 +17,18 @@ from selenium.webdriver.remote.webelement import WebElement
 
 from gsc_jax.app.results import read_results
 from gsc_jax.app.viewer import serving, write_page
-from gsc_jax.app.viewing.exhibit import Exhibit, exhibit
-from gsc_jax.app.viewing.panel import SPLATS
-from gsc_jax.app.viewing.poses import Pose
+from gsc_jax.app.viewing.exhibit import Exhibit, counted, exhibit
+from gsc_jax.app.viewing.page import page
 from gsc_jax.app.viewing.splats import Mode, shown
-from gsc_jax.scene import Camera, Gaussians
-from gsc_jax.splat import render
-from gsc_jax.views import look_at
+from gsc_jax.scene import Gaussians
 
-SIZE = (700, 480)
-PATIENCE = 30.0
+if TYPE_CHECKING:
+    import viser
+
+pytest.importorskip("viser")
+
 KNOWN = "computeBoundingSphere(): Computed radius is NaN"
 """What viser 1.1 itself complains of where there are splats: their corners have no third axis."""
-WIDTH = 300
-PICTURE = """
-const seen = window.__viserMutable.canvas;
-const small = document.createElement("canvas");
-small.width = arguments[0];
-small.height = Math.round((arguments[0] * seen.clientHeight) / seen.clientWidth);
-small.getContext("2d").drawImage(seen, 0, 0, small.width, small.height);
-return small.toDataURL();
-"""
-"""The canvas at one size: viser draws with fewer pixels where the machine is slow."""
-BUFFER = f"return Array.from(window.__viserSceneTree.getState()['{SPLATS}'].message.props.buffer)"
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Shown:
-    """A page that is open in the browser, and what it ought to show."""
-
-    browser: Browser
-    exhibit: Exhibit
-    gaussians: Gaussians
-
-    def picture(self) -> np.ndarray:
-        """What the canvas shows once it has come to rest, shape (H, W, 3) in [0, 1]."""
-        seen = [self._canvas(), self._canvas()]
-        end = time.monotonic() + PATIENCE
-        while not (np.array_equal(seen[-1], seen[-2]) and seen[-1].std() > 0):
-            assert time.monotonic() < end, "the picture never comes to rest, or is blank"
-            time.sleep(0.4)
-            seen = [seen[-1], self._canvas()]
-        return seen[-1]
-
-    def becomes(self, right: Callable[[np.ndarray], bool]) -> np.ndarray:
-        """The picture, once it is as it should be."""
-        end = time.monotonic() + PATIENCE
-        while not right(picture := self._canvas()):
-            time.sleep(0.2)
-            assert time.monotonic() < end, f"red {red(picture):.4f}, blue {blue(picture):.4f}"
-        return picture
-
-    def buffer(self) -> np.ndarray:
-        """Red, green, blue and opacity of each splat, shape (N, 4) uint8."""
-        words = np.array(self.browser.execute_script(BUFFER), np.uint32).reshape(-1, 8)
-        return np.ascontiguousarray(words[:, 7:]).view(np.uint8)
-
-    def rendered(self, pose: Pose) -> np.ndarray:
-        """What gsc_jax renders from there at the size of the canvas."""
-        height, width = self._canvas().shape[:2]
-        focal = height / 2 / np.tan(pose.fov / 2)
-        K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]], np.float32)
-        viewmat = look_at(pose.position, pose.look_at, pose.up)
-        camera = Camera(viewmat=viewmat, K=K, width=width, height=height)
-        return np.clip(np.asarray(render(self.gaussians, camera)[0]), 0, 1)
-
-    def _canvas(self) -> np.ndarray:
-        url = self.browser.execute_script(PICTURE, WIDTH)
-        return iio.imread(base64.b64decode(url.split(",")[1]), extension=".png")[..., :3] / 255
-
-
-def red(picture: np.ndarray) -> float:
-    """Share of the picture that is of the ball."""
-    return float(np.mean((picture[..., 0] > 0.5) & (picture[..., 1:] < 0.3).all(axis=-1)))
-
-
-def blue(picture: np.ndarray) -> float:
-    """Share of the picture that is of the floor."""
-    return float(np.mean((picture[..., 2] > 0.5) & (picture[..., :2] < 0.3).all(axis=-1)))
 
 
 @pytest.fixture(scope="module")
@@ -112,19 +44,6 @@ def shown_results(found) -> tuple[Exhibit, Gaussians]:
     return exhibit(results, most=10**6)[0], results.gaussians
 
 
-def opened(browser: Browser, address: str, results: tuple[Exhibit, Gaussians]) -> Shown:
-    browser.set_window_size(*SIZE)
-    browser.get(address)
-    page = Shown(browser=browser, exhibit=results[0], gaussians=results[1])
-    end = time.monotonic() + PATIENCE
-    present = f"return !!window.__viserSceneTree?.getState()['{SPLATS}']"
-    while not browser.execute_script(present):
-        assert time.monotonic() < end, "the scene never arrives"
-        time.sleep(0.2)
-    page.becomes(lambda picture: blue(picture) > 0.05)
-    return page
-
-
 class TestWrittenPage:
     @pytest.fixture(scope="module")
     @staticmethod
@@ -136,7 +55,9 @@ class TestWrittenPage:
     @pytest.fixture
     def page(self, browser, address, shown_results) -> Shown:
         page = opened(browser, address, shown_results)
+        end = time.monotonic() + PATIENCE
         while browser.find_element(By.ID, "gsc-controls").get_property("disabled"):
+            assert time.monotonic() < end, "the controls are never of use"
             time.sleep(0.1)
         return page
 
@@ -173,19 +94,18 @@ class TestWrittenPage:
         page.becomes(lambda picture: abs(picture - few).mean() > 0.01)
         assert count.text.startswith("1,9")
         slider.send_keys(Keys.END)
-        assert count.text.startswith("0 of 1,998 Gaussians (0.0%)")
+        assert count.text.startswith("0 of 1,998 Gaussians (0%)")
         find(By.CSS_SELECTOR, "#gsc summary").send_keys(Keys.ENTER)
         assert not slider.is_displayed()
 
     def test_cameras_are_hidden_and_jumped_to(self, page):
         find, poses = page.browser.find_element, page.exhibit.poses
-        with_cameras = page.picture()
+        page.becomes(lambda seen: orange(seen) > 0)
         find(By.ID, "gsc-cameras").click()
-        page.becomes(lambda seen: not np.array_equal(seen, with_cameras))
+        page.becomes(lambda seen: orange(seen) == 0 and blue(seen) > 0.05)
         for button, index in (("next", 1), ("previous", 0), ("previous", len(poses) - 1)):
             find(By.ID, f"gsc-{button}").click()
-            rendered = page.rendered(poses[index])
-            page.becomes(lambda seen, rendered=rendered: abs(seen - rendered).mean() < 0.04)
+            page.looks_from(index, error=0.04)
             assert find(By.ID, "gsc-camera").get_attribute("value") == str(index)
 
     def test_it_neither_complains_nor_asks_anyone(self, page, address):
@@ -209,10 +129,24 @@ class TestWrittenPage:
         assert browser.find_element(By.ID, "gsc-controls").get_property("disabled")
 
 
+@pytest.mark.parametrize(
+    ("above", "total"),
+    [(0, 10), (1, 10_000), (5, 10_000), (1, 3), (9_995, 10_000), (9_999, 10_000), (10, 10)],
+)
+def test_the_page_counts_in_the_words_of_the_report(browser, shown_results, tmp_path, above, total):
+    score = (np.arange(total) < above).astype(np.float32)
+    made = dataclasses.replace(shown_results[0], score=score)
+    path = tmp_path / "page.html"
+    path.write_text(page("<html><head></head><body></body></html>", made), encoding="utf-8")
+    browser.get(path.as_uri())
+    said = browser.find_element(By.ID, "gsc-count").text
+    assert said == f"{counted(score, made.threshold)}."
+
+
 class TestServedPage:
     @pytest.fixture(scope="module")
     @staticmethod
-    def server(shown_results) -> Iterator[viser.ViserServer]:
+    def server(shown_results) -> Iterator["viser.ViserServer"]:
         with serving(shown_results[0], host="localhost", port=0) as server:
             yield server
 
@@ -260,31 +194,28 @@ class TestServedPage:
         page.becomes(lambda picture: blue(picture) > 0.05)
 
     def test_cameras_are_jumped_to(self, page, server):
-        names, pictures = [pose.name for pose in page.exhibit.poses], [page.picture()]
-        for name, button in ((names[1], "next"), (names[0], "previous")):
+        names = [pose.name for pose in page.exhibit.poses]
+        for index, button in ((1, "next"), (0, "previous")):
             self.press(page, button)
-            self.becomes(page, "camera", name)
-            pictures.append(page.picture())
-        assert abs(pictures[1] - pictures[0]).mean() > 0.01
-        assert abs(pictures[2] - pictures[0]).mean() < 0.005
-        rendered = page.rendered(page.exhibit.poses[0])
-        assert abs(pictures[2] - rendered).mean() < 0.06
+            self.becomes(page, "camera", names[index])
+            page.looks_from(index, error=0.06)
+        before = page.picture()
         # From behind a camera, its apex is in the middle of the canvas.
         *_, client = server.get_clients().values()
         pose = page.exhibit.poses[1]
         with client.atomic():
             client.camera.position = pose.position + 0.5 * (pose.position - pose.look_at)
             client.camera.look_at = pose.look_at
-        page.becomes(lambda picture: abs(picture - pictures[2]).mean() > 0.01)
+        page.becomes(lambda picture: abs(picture - before).mean() > 0.01)
         canvas = page.browser.execute_script("return window.__viserMutable.canvas")
         ActionChains(page.browser).move_to_element(canvas).pause(0.5).click().perform()
         self.becomes(page, "camera", names[1])
         np.testing.assert_allclose(client.camera.position, pose.position, atol=1e-3)
 
     def test_cameras_are_hidden_and_the_background_is_painted(self, page):
-        before = page.picture()
+        page.becomes(lambda picture: orange(picture) > 0)
         self.entry(page, "visible").click()
-        page.becomes(lambda picture: not np.array_equal(picture, before))
+        page.becomes(lambda picture: orange(picture) == 0 and blue(picture) > 0.05)
         color = self.entry(page, "background")
         color.click()
         time.sleep(0.3)  # viser's panel forgets what is typed faster than anyone types

@@ -6,6 +6,7 @@ view is brought to the view's, once, and thresholded, as a detector's output is.
 """
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,9 @@ import numpy as np
 
 from gsc_jax.app.options import Evaluate
 from gsc_jax.app.outputs import plain
+from gsc_jax.app.publish import EVALUATION
 from gsc_jax.app.results import Results, read_results
+from gsc_jax.app.words import share
 from gsc_jax.benchmark.metrics import auc, confusion, false_positive_area, mean_over_tampered_views
 from gsc_jax.detection import fit_to_view
 from gsc_jax.detectors.folder import FolderDetector
@@ -59,7 +62,7 @@ def run_evaluate(options: Evaluate) -> tuple[list[str], list[str]]:
     if masks is not None:
         report["views"] = by_view(results, masks, warnings)
         lines += [*_view_table(report["views"]), ""]
-    out = options.out or options.folder / "evaluation.json"
+    out = options.out or options.folder / EVALUATION
     with atomic(out) as temporary:
         text = json.dumps(plain({**report, "warnings": warnings}), indent=2, ensure_ascii=False)
         temporary.write_text(text + "\n", encoding="utf-8")
@@ -131,13 +134,13 @@ def by_view(results: Results, truth: Path, warnings: list[str]) -> dict[str, Any
         warnings: What a user should know is added.
 
     Returns:
-        The tampered share of each view, and the scores of `found` and, if there was one, of
-        `detector`.
+        The tampered share of each view, the scores of `found` and, if there was one, of `detector`,
+        which may not have judged all views: `found_where_judged` compares with it.
 
     Raises:
         InputError: if no view has a truth, or a truth is not of the view.
     """
-    folder, views = FolderDetector(truth), _views(results)
+    folder, views = FolderDetector(truth), results.cameras
     chosen = folder.select(views)
     if len(chosen) < len(views):
         warnings.append(f"{len(views) - len(chosen)} of {len(views)} views have no mask in {truth}")
@@ -146,25 +149,14 @@ def by_view(results: Results, truth: Path, warnings: list[str]) -> dict[str, Any
     found = {camera.name: _own_mask(results, "masks", camera) for camera in chosen}
     judged = [c for c in chosen if image_path(results.folder / "detector", c.name).is_file()]
     said = {camera.name: _own_mask(results, "detector", camera) for camera in judged}
-    return {
+    scores = {
         "truth": {name: float(mask.mean()) for name, mask in true.items()},
         "found": _scores(found, true),
-        **({"detector": _scores(said, true)} if said else {}),
     }
-
-
-def _views(results: Results) -> list[Camera]:
-    """The views of the run, of which only names and sizes matter here."""
-    return [
-        Camera(
-            viewmat=np.eye(4, dtype=np.float32),
-            K=np.eye(3, dtype=np.float32),
-            width=view["width"],
-            height=view["height"],
-            name=view["name"],
-        )
-        for view in results.report["per_view"]
-    ]
+    if not said:
+        return scores
+    beside = _scores({name: found[name] for name in said}, true)
+    return scores | {"found_where_judged": beside, "detector": _scores(said, true)}
 
 
 def _true_mask(folder: FolderDetector, camera: Camera, warnings: list[str]) -> np.ndarray:
@@ -223,31 +215,49 @@ def _gaussian_table(scores: Mapping[str, Any]) -> list[str]:
 
 def _view_table(views: Mapping[str, Any]) -> list[str]:
     """A row per tampered view, the means, and what was flagged where nothing is."""
-    found = views["found"]
-    said = views.get("detector", {})
-    beside = [f"2D {name}" for name in BESIDE if said]
-    lines = [_row("by view", [*MEASURES, *beside])]
+    found, said = views["found"], views.get("detector")
+    lines = [_row("by view", [*MEASURES, *(f"2D {name}" for name in BESIDE if said)])]
     for name, scores in found["per_view"].items():
-        other = said.get("per_view", {}).get(name, {})
-        cells = [scores[measure] for measure in MEASURES]
-        lines.append(_row(name, cells + [other.get(measure) for measure in BESIDE if said]))
+        lines.append(_scores_row(name, scores, said and said["per_view"].get(name, {})))
     if found["per_view"]:
-        means = [found[name] for name in MEASURES] + [said[name] for name in BESIDE if said]
-        lines.append(_row(f"mean of {len(found['per_view'])}", means))
+        lines += _means(views)
     else:
         lines = ["No view shows anything tampered."]
     if found["per_authentic_view"]:
-        lines += ["", _false_positives(found, said)]
+        lines += ["", _false_positives(views)]
     return lines
 
 
-def _false_positives(found: Mapping[str, Any], said: Mapping[str, Any]) -> str:
+def _means(views: Mapping[str, Any]) -> list[str]:
+    """The mean over all views and, where the 2D detector judged some, the one over these."""
+    found, said = views["found"], views.get("detector")
+    count, judged = len(found["per_view"]), len(said["per_view"]) if said else 0
+    title = f"mean of {count}"
+    if not said or judged == count:
+        return [_scores_row(title, found, said)]
+    where_judged = _scores_row(f"mean of the {judged} judged", views["found_where_judged"], said)
+    return [_scores_row(title, found, {}), *([where_judged] if judged else [])]
+
+
+def _scores_row(title: str, found: Mapping[str, Any], said: Mapping[str, Any] | None) -> str:
+    """A row of the table by view."""
+    cells = [found[name] for name in MEASURES]
+    return _row(title, cells + [said.get(name) for name in BESIDE if said is not None])
+
+
+def _false_positives(views: Mapping[str, Any]) -> str:
+    """What was flagged of the authentic views, and of those that the 2D detector judged."""
+    found, said = views["found"], views.get("detector")
     count = len(found["per_authentic_view"])
-    views = "the authentic view" if count == 1 else f"the {count} authentic views"
-    line = f"Of {views}, {found['false_positive_area']:.1%} was found"
-    if said.get("per_authentic_view"):
-        line += f", and {said['false_positive_area']:.1%} flagged by the 2D detector"
-    return f"{line}."
+    judged = len(said["per_authentic_view"]) if said else 0
+    which = "the authentic view" if count == 1 else f"the {count} authentic views"
+    line = f"Of {which}, {share(found['false_positive_area'])} was found"
+    if not said or not judged:
+        return f"{line}."
+    if judged < count:
+        area = share(views["found_where_judged"]["false_positive_area"])
+        line += f"; of the {judged} that the 2D detector judged, {area}"
+    return f"{line}, and {share(said['false_positive_area'])} flagged by the 2D detector."
 
 
 def _row(name: str, cells: Sequence[str | float | None]) -> str:
@@ -259,4 +269,4 @@ def _row(name: str, cells: Sequence[str | float | None]) -> str:
 def _cell(value: str | float | None) -> str:
     if isinstance(value, str):
         return TITLES.get(value, value)
-    return "-" if value is None else f"{value:.3f}"
+    return "-" if value is None or math.isnan(value) else f"{value:.3f}"

@@ -56,7 +56,7 @@ def _cameras(options: Look, gaussians: Gaussians, warnings: list[str]) -> list[C
         cameras = orbit_cameras(gaussians, count, seed=options.seed)
         warnings.append(
             f"no --cameras given: {count} cameras were placed around the scene, -y up, and written "
-            "to cameras.json; those that the scene was trained with see it best"
+            "beside the results; those that the scene was trained with see it best"
         )
     scaled = [camera.scaled(options.scale) for camera in cameras]
     for camera in scaled:
@@ -80,9 +80,13 @@ def chosen_cameras(options: Look, cameras: Sequence[Camera], warnings: list[str]
 
 
 def _check_names(cameras: Sequence[Camera]) -> None:
-    """Refuses cameras whose pictures could not be told apart or would leave the folder."""
+    """Refuses cameras whose pictures could not be told apart or named inside the folder."""
     names: dict[Path, str] = {}
     for camera in cameras:
+        if camera.name != camera.name.encode(errors="replace").decode():  # lone surrogates
+            raise InputError(
+                f"camera {camera.name!r}: is no text, which masks and outputs go by; rename it"
+            )
         path = image_path("masks", camera.name)
         if path in names:
             raise InputError(

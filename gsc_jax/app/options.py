@@ -83,11 +83,13 @@ class Locate(Look):
 
     written into the folder of --out:
       report.html              start here
-      overview.png, overlay/   pictures for people
+      overview.png             a few views side by side
+      render/, overlay/        each as it is, and marked
       tamper.ply               the scene, plus a property tamper
       highlight.ply            tampered red, the rest grey
       labels.npy, tamper.npy   bool and score, by row of the scene
       masks/, detector/        final masks, and the detector's
+      views.json               the cameras looked from
       result.json              numbers, warnings, versions
 
     Attributes:
@@ -299,7 +301,7 @@ class View:
         port: Port to serve the page at.
         host: Address to serve the page at: `localhost` for this machine only, 0.0.0.0 for whoever
             can reach it.
-        most: Most Gaussians to show, those that are seen most; a browser has its limits.
+        most: Most Gaussians to show, by opacity times area; a browser has its limits.
         no_browser: Do not open the page in a browser, only say where it is.
     """
 

@@ -9,6 +9,7 @@ import dataclasses
 import importlib.metadata
 import json
 import math
+import os
 import platform
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -23,6 +24,7 @@ from gsc_jax.app.located import Located
 from gsc_jax.app.pictures import contact_sheet, jpeg_path, overlay, write_jpeg
 from gsc_jax.app.publish import files_below
 from gsc_jax.app.report import report_page
+from gsc_jax.io.cameras import save_cameras
 from gsc_jax.io.files import atomic
 from gsc_jax.io.masks import image_path, write_mask, write_probability
 from gsc_jax.io.ply import PlyScene, save_highlight, save_tampered
@@ -43,7 +45,6 @@ def write_results(
     cameras: Sequence[Camera],
     result: Result,
     *,
-    pictured: int | None = None,
     progress: Progress,
 ) -> None:
     """Writes all of the results but the reports, report.html and result.json.
@@ -53,29 +54,26 @@ def write_results(
         scene: The scene as it was read.
         cameras: The cameras that have a mask in the result.
         result: What was found.
-        pictured: How many of the views are rendered for people, evenly spread; by default all.
         progress: Called with (stage, done, total).
     """
-    shown = list(cameras) if pictured is None else evenly(cameras, pictured)
-    kept = {camera.name for camera in evenly(shown, MOST_PICTURES)}
+    kept = {camera.name for camera in evenly(cameras, MOST_PICTURES)}
     progress("write", 0, len(cameras))
+    save_cameras(folder / "views.json", cameras)
     _write_scenes(folder, scene, result)
     gaussians = jax.device_put(scene.gaussians)
-    names = {camera.name for camera in shown}
     renders: dict[str, np.ndarray] = {}
 
-    def written(camera: Camera) -> np.ndarray | None:
+    def written(camera: Camera) -> np.ndarray:
         _write_masks(folder, camera, result)
-        return _write_pictures(folder, gaussians, camera, result) if camera.name in names else None
+        return _write_pictures(folder, gaussians, camera, result)
 
     with ThreadPoolExecutor(WORKERS) as pool:
         images = zip(cameras, ahead(pool, written, cameras), strict=True)
         for done, (camera, image) in enumerate(images, start=1):
-            if image is not None and camera.name in kept:
+            if camera.name in kept:
                 renders[camera.name] = image
             progress("write", done, len(cameras))
-    if renders:
-        _write_overview(folder / "overview.png", renders, result)
+    _write_overview(folder / "overview.png", renders, result)
 
 
 def write_report(
@@ -212,7 +210,10 @@ def versions() -> dict[str, str]:
 
 
 def plain(value: Any) -> Any:
-    """The same for JSON, which knows neither paths nor numbers that are not finite."""
+    """The same for JSON, which knows neither paths nor numbers that are not finite.
+
+    What of a path is not UTF-8 becomes an escape such as `xff`, also inside of a warning.
+    """
     if isinstance(value, dict):
         return {str(key): plain(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):
@@ -221,7 +222,9 @@ def plain(value: Any) -> Any:
         value = value.item()
     if isinstance(value, float) and not math.isfinite(value):
         return None
-    return str(value) if isinstance(value, Path) else value
+    if isinstance(value, str | Path):
+        return os.fsencode(value).decode("utf-8", "backslashreplace")
+    return value
 
 
 def _save_array(path: Path, values: np.ndarray) -> None:

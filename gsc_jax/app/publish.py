@@ -2,8 +2,12 @@
 
 A run that fails, or is interrupted, leaves the folder as it was. One that succeeds replaces what
 the run before wrote: also masks of cameras that are no longer used, so that what lies in the folder
-belongs together. Nothing else in the folder is touched, and never what this run was given. What a
-run that was killed could not remove, a later one does, once it is so old that nobody works on it.
+belongs together. Nothing else in the folder is touched, and never what this run was given.
+
+The reports are the first to go and the last to come. So where a run is killed, or the disk is full,
+just while its results are put in place, the folder holds no results, rather than a report of others
+than those that lie there. What such a run could not remove, a later one does, once it is so old
+that nobody works on it.
 """
 
 import contextlib
@@ -21,16 +25,33 @@ UNFINISHED = ".unfinished-"
 """How the folders are called in which results are collected."""
 ABANDONED_SECONDS = 24 * 3600
 """After which one that nothing was added to is somebody's no longer."""
-BY_CAMERA = ("masks", "detector", "render", "overlay")
+OUTPUTS = {
+    "overview.png": "a few views side by side",
+    "render/": "the views as they are",
+    "overlay/": "the views with what was found marked",
+    "masks/": "final masks, 0 or 255",
+    "detector/": "what the 2D detector said, 0 to 255",
+    "tamper.ply": "the scene, plus a property tamper",
+    "highlight.ply": "for any viewer: tampered red, the rest grey",
+    "labels.npy": "bool, by row of the scene",
+    "tamper.npy": "score from 0 to 1, by row of the scene",
+    "views.json": "the cameras looked from, a cameras.json",
+    "report.html": "this page, for people",
+    "result.json": "its numbers, for programs",
+}
+"""What `locate` leaves in its folder, in the order in which people are told."""
+FILES = tuple(name for name in OUTPUTS if not name.endswith("/"))
+BY_CAMERA = tuple(name.rstrip("/") for name in OUTPUTS if name.endswith("/"))
 """Folders with a picture per camera, of which some may be left over from another run."""
-
 PICTURES = (".png", ".jpg")
 """How the files in them end."""
-OUTPUTS = ("tamper.ply", "highlight.ply", *BY_CAMERA)
-"""What could be an input as well."""
+EVALUATION = "evaluation.json"
+"""Scores of the results, of no use beside those of another run."""
 
 
-def refuse_overlap(out: Path, inputs: Sequence[Path], *, written: Sequence[str] = OUTPUTS) -> None:
+def refuse_overlap(
+    out: Path, inputs: Sequence[Path], *, written: Sequence[str] = (*FILES, *BY_CAMERA)
+) -> None:
     """Refuse a folder of results that would overwrite what the run reads.
 
     Args:
@@ -65,40 +86,35 @@ def replacing(
     Args:
         out: The folder of results, made where missing.
         keep: Files and folders that the run reads; none of them is removed as a leftover.
-        report: The file that lists the `outputs`; it comes last, so that it never tells of what is
-            not there.
+        report: The file that lists the `outputs`; it comes last, after report.html where there is
+            one, so that it never tells of what is not there.
         by_camera: Folders with a picture per camera, of which an earlier run may have left some.
 
     Yields:
         An empty folder inside `out`.
 
     Raises:
-        InputError: if `out` cannot be written to.
+        InputError: if `out` cannot be written to, or a folder lies where a file belongs.
     """
-    made = not out.exists()
+    made = [place for place in (out, *out.parents) if not place.exists()]
     try:
-        out.mkdir(parents=True, exist_ok=True)
-        _remove_abandoned(out)
-        folder = Path(tempfile.mkdtemp(prefix=UNFINISHED, dir=out))
-    except OSError as error:
-        raise InputError(f"{out}: {_cannot(error)}") from error
-    try:
+        folder = _unfinished(out)
         try:
             yield folder
         except KeyboardInterrupt as stop:
             stop.add_note(f"nothing was changed in {out}")
             raise
-        with uninterrupted():
-            leftovers = set(_earlier(out / report, by_camera)).difference(files_below(folder))
-            _publish(folder, out, report)
-            _remove(out, leftovers, keep)
-    except InputError as error:
-        raise InputError(str(error).replace(str(folder), str(out))) from error
+        except InputError as error:
+            raise InputError(str(error).replace(str(folder), str(out))) from error
+        else:
+            with uninterrupted():
+                _publish(folder, out, report, _leftovers(out, report, by_camera, keep))
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
     finally:
-        shutil.rmtree(folder, ignore_errors=True)
-        if made:
-            with contextlib.suppress(OSError):  # it holds results
-                out.rmdir()
+        with contextlib.suppress(OSError):  # it holds results
+            for place in made:
+                place.rmdir()
 
 
 def files_below(folder: Path) -> list[str]:
@@ -107,26 +123,42 @@ def files_below(folder: Path) -> list[str]:
     return sorted(path.as_posix() for path in paths)
 
 
-def _publish(folder: Path, out: Path, report: str) -> None:
-    """Moves the new files to their places, the report last."""
+def _unfinished(out: Path) -> Path:
+    """A new folder inside the folder of results."""
     try:
-        for name in sorted(files_below(folder), key=lambda name: name == report):
+        out.mkdir(parents=True, exist_ok=True)
+        _remove_abandoned(out)
+        return Path(tempfile.mkdtemp(prefix=UNFINISHED, dir=out))
+    except OSError as error:
+        raise InputError(f"{out}: {_cannot(error)}") from error
+
+
+def _publish(folder: Path, out: Path, report: str, leftovers: Iterable[str]) -> None:
+    """Moves the new files to their places, once what tells of others is gone."""
+    names = files_below(folder)
+    _refuse_blocked(out, names)
+    last = [name for name in ("report.html", report) if name in names]
+    try:
+        for name in [*reversed(last), *set(leftovers).difference(names)]:
+            (out / name).unlink(missing_ok=True)
+        for name in [*(name for name in names if name not in last), *last]:
             (out / name).parent.mkdir(parents=True, exist_ok=True)
             (folder / name).replace(out / name)
     except OSError as error:
         raise InputError(f"{out}: {_cannot(error)}") from error
 
 
-def _remove(out: Path, leftovers: Iterable[str], keep: Sequence[Path]) -> None:
-    """Removes what an earlier run wrote and this one did not, unless this one reads it."""
-    given = [path.resolve() for path in keep]
-    try:
-        for name in leftovers:
-            path = (out / name).resolve()
-            if not any(path.is_relative_to(place) for place in given):
-                path.unlink(missing_ok=True)
-    except OSError as error:
-        raise InputError(f"{out}: {_cannot(error)}") from error
+def _refuse_blocked(out: Path, names: Sequence[str]) -> None:
+    """Refuses folders where files belong, and files where folders do."""
+    files = [out / name for name in names if (out / name).is_dir()]
+    parents = {out / place for name in names for place in PurePosixPath(name).parents}
+    folders = [place for place in sorted(parents) if place.exists() and not place.is_dir()]
+    if blocked := [*files, *folders]:
+        found = "folder" if files else "file"
+        raise InputError(
+            f"{blocked[0]}: is a {found}, which is in the way of the results; move it, or give "
+            f"another --out than {out}"
+        )
 
 
 def _remove_abandoned(out: Path) -> None:
@@ -137,6 +169,18 @@ def _remove_abandoned(out: Path) -> None:
                 shutil.rmtree(folder, ignore_errors=True)
 
 
+def _leftovers(out: Path, report: str, by_camera: Sequence[str], keep: Sequence[Path]) -> list[str]:
+    """Files of an earlier run, but for those that this one reads."""
+    given = [path.resolve() for path in keep]
+
+    def is_given(path: Path) -> bool:
+        return any(path.resolve().is_relative_to(place) for place in given)
+
+    earlier = [(name, out / name) for name in _earlier(out / report, by_camera)]
+    there = [(name, path) for name, path in earlier if path.is_file() or path.is_symlink()]
+    return [name for name, path in there if not is_given(path)]
+
+
 def _earlier(report: Path, by_camera: Sequence[str]) -> list[str]:
     """What an earlier run wrote into the folder and a later one may not write again."""
     try:
@@ -144,9 +188,9 @@ def _earlier(report: Path, by_camera: Sequence[str]) -> list[str]:
         paths = [PurePosixPath(name) for name in outputs]
     except (OSError, ValueError, LookupError, TypeError):
         return []  # there is none, or the file is somebody else's
-    own = [path for path in paths if path.parts[0] in by_camera and path.suffix in PICTURES]
-    own += [path for path in paths if path == PurePosixPath("cameras.json")]
-    return [str(path) for path in own if ".." not in path.parts]
+    pictures = [path for path in paths if path.suffix in PICTURES and ".." not in path.parts]
+    own = [str(path) for path in pictures if path.parts[0] in by_camera]
+    return [*own, EVALUATION] if PurePosixPath("result.json") in paths else own
 
 
 def _cannot(error: OSError) -> str:

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from gsc_jax.app.located import Located
+from gsc_jax.app.publish import OUTPUTS
 from gsc_jax.app.reporting.charts import (
     Chart,
     attribute_chart,
@@ -27,7 +28,6 @@ from gsc_jax.app.reporting.charts import (
 from gsc_jax.app.reporting.thumbnails import LAYERS, Picture, pictures, url
 from gsc_jax.app.words import (
     WORTH,
-    doubtful,
     effort_sentence,
     found_sentence,
     headline,
@@ -36,22 +36,6 @@ from gsc_jax.app.words import (
     traces_found,
 )
 from gsc_jax.stages import Progress, silent
-
-KNOWN = {
-    "overview.png": "a few views side by side",
-    "render": "the views as they are",
-    "overlay": "the views with what was found marked",
-    "masks": "final masks, 0 or 255",
-    "detector": "what the 2D detector said, 0 to 255",
-    "tamper.ply": "the scene, plus a property tamper",
-    "highlight.ply": "for any viewer: tampered red, the rest grey",
-    "labels.npy": "bool, by row of the scene",
-    "tamper.npy": "score from 0 to 1, by row of the scene",
-    "cameras.json": "the cameras that were placed around the scene",
-    "report.html": "this page",
-    "result.json": "the numbers of this page",
-}
-"""What the outputs are; those of these names come in this order."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -115,9 +99,14 @@ def report_page(
     return _template().render(
         report=report,
         result=result,
-        headline=headline(located),
-        found=found_sentence(located),
-        doubtful=doubtful(result),
+        headline=headline(report["verdict"], report["counts"]["tampered"]),
+        found=found_sentence(
+            report["counts"]["tampered"],
+            report["counts"]["gaussians"],
+            verdict=report["verdict"],
+            views=report["views"],
+            covered=report["tampered_share_of_views"],
+        ),
         effort=effort_sentence(result),
         traces=sorted(result.native.traces, key=lambda t: not t.found) if result.native else [],
         traces_found=traces_found(result),
@@ -169,23 +158,17 @@ def _charts(report: Mapping[str, Any], located: Located) -> list[Chart]:
 
 
 def _files(folder: Path, outputs: list[str]) -> list[File]:
-    """The files of the folder, and of folders their name only."""
-    inside: dict[str, int] = {}
-    for path in outputs:
-        top = path.split("/", 1)[0]
-        inside[top] = inside.get(top, 0) + ("/" in path)
-    order = list(KNOWN)
-    found = []
-    for top in sorted(inside, key=lambda name: order.index(name) if name in KNOWN else len(order)):
-        count, what = inside[top], KNOWN.get(top, "")
-        found.append(
-            File(
-                name=f"{top}/" if count else top,
-                url=url(folder / top, folder) + ("/" if count else ""),
-                what=f"{what} ({count})" if count else what,
-            )
+    """The files of the folder, and of folders their name only, as `OUTPUTS` has them."""
+    counts = {name: sum(path.startswith(name) for path in outputs) for name in OUTPUTS}
+    return [
+        File(
+            name=name,
+            url=url(folder / name, folder) + "/" * name.endswith("/"),
+            what=OUTPUTS[name] + (f" ({count})" if name.endswith("/") else ""),
         )
-    return found
+        for name, count in counts.items()
+        if count
+    ]
 
 
 def _counts(report: Mapping[str, Any], located: Located) -> list[tuple[str, str]]:

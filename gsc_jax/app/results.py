@@ -1,7 +1,7 @@
 """What `gsc-jax locate` left in a folder, read back for those who look at it or grade it.
 
-The scene and its scores have to fit together, or the folder is refused. Cameras lie elsewhere and
-may be gone: then there are none, a note says why, and everything else can still be used.
+All of it has to fit together, or the folder is refused: nothing is read from elsewhere, where it
+may have changed since.
 """
 
 import dataclasses
@@ -30,9 +30,7 @@ class Results:
         total: Number of rows of that scene, with those left out.
         tamper: Scores in [0, 1], shape (N,) float32.
         labels: Tampered Gaussians, shape (N,) bool.
-        cameras: Those that were looked from, at the size of their masks; empty where they cannot be
-            read any more.
-        notes: What could not be read, in a line each.
+        cameras: Those that were looked from, at the size of their masks.
     """
 
     folder: Path
@@ -43,7 +41,6 @@ class Results:
     tamper: np.ndarray
     labels: np.ndarray
     cameras: list[Camera]
-    notes: list[str]
 
     @property
     def threshold(self) -> float:
@@ -62,7 +59,7 @@ def read_results(folder: str | Path) -> Results:
         folder: Its --out.
 
     Returns:
-        The results, with notes on cameras that cannot be read any more.
+        The results.
 
     Raises:
         InputError: if the folder holds no results, or files of it are missing, damaged, of another
@@ -79,7 +76,6 @@ def read_results(folder: str | Path) -> Results:
             f"{folder / 'labels.npy'}: {found:,} Gaussians are tampered, but result.json tells of "
             f"{said:,}; they are of different runs: run gsc-jax locate again"
         )
-    cameras, notes = _cameras(folder, report)
     return Results(
         folder=folder,
         report=report,
@@ -88,8 +84,7 @@ def read_results(folder: str | Path) -> Results:
         total=scene.total,
         tamper=tamper[scene.rows].astype(np.float32),
         labels=labels[scene.rows],
-        cameras=cameras,
-        notes=notes,
+        cameras=_cameras(folder / "views.json", report["per_view"]),
     )
 
 
@@ -119,7 +114,7 @@ def _used(report: dict[str, Any]) -> list[Any]:
         *(float(config[key]) for key in ("threshold", "near")),
         *(int(counts[key]) for key in ("gaussians", "tampered")),
         *((str(view["name"]), int(view["width"]), int(view["height"])) for view in views),
-        report["command"]["cameras"],
+        float(report["tampered_share_of_views"]),
     ]
 
 
@@ -139,20 +134,15 @@ def _by_row(path: Path, total: int, kind: type) -> np.ndarray:
     return values
 
 
-def _cameras(folder: Path, report: dict[str, Any]) -> tuple[list[Camera], list[str]]:
-    """The cameras looked from, in the order of the report, and what is missing of them."""
-    given = report["command"]["cameras"]
-    path = folder / "cameras.json" if given is None else Path(given)
-    try:
-        stored = {camera.name: camera for camera in load_cameras(path)}
-    except InputError as error:
-        return [], [f"the cameras cannot be read any more: {error}"]
-    views = report["per_view"]
-    # An orbit is stored at the size of its masks, others at that of the photographs.
-    cameras = [
-        stored[view["name"]].resized(view["width"], view["height"])
-        for view in views
-        if view["name"] in stored
-    ]
-    missing = len(views) - len(cameras)
-    return cameras, [f"{path}: lacks {missing} of {len(views)} cameras of the run"] * bool(missing)
+def _cameras(path: Path, views: list[dict[str, Any]]) -> list[Camera]:
+    """The cameras looked from, in the order of the report."""
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; run gsc-jax locate again")
+    cameras = load_cameras(path)
+    stored = [(camera.name, camera.width, camera.height) for camera in cameras]
+    if stored != [(view["name"], view["width"], view["height"]) for view in views]:
+        raise InputError(
+            f"{path}: has not the {len(views)} cameras that result.json tells of; they are of "
+            "different runs: run gsc-jax locate again"
+        )
+    return cameras

@@ -20,7 +20,7 @@ from gsc_jax.app.outputs import write_report, write_results
 from gsc_jax.app.publish import refuse_overlap, replacing
 from gsc_jax.app.settings import read_settings
 from gsc_jax.errors import InputError
-from gsc_jax.io.cameras import save_cameras
+from gsc_jax.io.cameras import camera_files, save_cameras
 from gsc_jax.io.masks import image_path, write_image
 from gsc_jax.io.ply import PlyScene
 from gsc_jax.locate import locate
@@ -67,8 +67,8 @@ def plan_locate(options: Locate, *, progress: Progress = silent) -> Plan:
     warnings = _left_out(options)
     asked = who_is_asked(options)
     network, spec = network_path(options), asked.options.spec
-    paths = (options.scene, options.cameras, options.masks, network, spec)
-    inputs = [path for path in paths if path]
+    inputs = [path for path in (options.scene, options.masks, network, spec) if path]
+    inputs += camera_files(options.cameras) if options.cameras else []
     refuse_overlap(options.out, inputs)
     scene, cameras = load_scene(options, warnings, progress)
     if options.views:
@@ -106,8 +106,6 @@ def run_locate(options: Locate, *, progress: Progress = silent) -> Located:
             progress=progress,
         )
         with stages("write"):
-            if options.cameras is None:
-                save_cameras(folder / "cameras.json", cameras)
             write_results(folder, scene, cameras, result, progress=progress)
         own = stages.summary()
         located = Located(

@@ -51,11 +51,10 @@ def run_view(
             not be served at that address.
     """
     _check(options)
-    progress("load", 0, 2)
-    results = read_results(options.folder)
-    progress("load", 1, 2)
-    shown, warnings = exhibit(results, most=options.most)
-    progress("load", 2, 2)
+    progress("load", 0, 1)
+    # Unnamed, as serving lasts and the results are large.
+    shown, warnings = exhibit(read_results(options.folder), most=options.most)
+    progress("load", 1, 1)
     if options.html is not None:
         return [write_page(options.html, shown)], warnings
     with serving(shown, host=options.host, port=options.port) as server:

@@ -71,44 +71,62 @@ def percent(probability: float) -> str:
 
 def share(part: float) -> str:
     """A share for people, which is 0% only where there is nothing and 100% where there is all."""
-    if 0 < part < 0.0005 or 0.9995 < part < 1:
+    if 0 < part < 0.0005 or 0.9995 <= part < 1:
         return "<0.1%" if part < 0.5 else ">99.9%"
     return f"{part:.0%}" if part in (0, 1) else f"{part:.1%}"
 
 
-def headline(located: Located) -> str:
-    """Whether anything was tampered with, in a sentence; methods that cannot say tell what is."""
-    verdict = located.result.verdict
+def headline(verdict: float | None, found: int) -> str:
+    """Whether anything was tampered with, in a sentence.
+
+    Args:
+        verdict: Probability that anything was; None of methods that do not say.
+        found: Number of tampered Gaussians.
+    """
     if verdict is not None:
         return next(said for least, said in LIKELY if verdict >= least)
-    return (
-        "Tampered Gaussians were found."
-        if located.result.labels.any()
-        else "No tampered Gaussian was found."
-    )
+    return "Tampered Gaussians were found." if found else "No tampered Gaussian was found."
 
 
-def found_sentence(located: Located) -> str:
-    """How many Gaussians are tampered, and how much of the views they cover."""
-    labels, views = located.result.labels, len(located.result.masks)
-    found, shown = int(labels.sum()), f"{views} view{'' if views == 1 else 's'}"
+def found_sentence(
+    found: int, total: int, *, verdict: float | None, views: int, covered: float
+) -> str:
+    """How many Gaussians are tampered and what they cover, with a doubt where the verdict has one.
+
+    Args:
+        found: Number of tampered Gaussians.
+        total: Number of all.
+        verdict: Probability that anything was tampered with, or None.
+        views: Number of views.
+        covered: Mean share of a view that is tampered.
+    """
+    shown = f"{views} view{'' if views == 1 else 's'}"
     if not found:
-        return f"No tampered Gaussian was found: none of {len(labels):,}, in {shown}."
+        return f"No tampered Gaussian was found: none of {total:,}, in {shown}."
     return (
-        f"{found:,} of {len(labels):,} Gaussians are tampered ({found / len(labels):.1%}); they "
-        f"cover {located.visible_share:.1%} of what {shown} show{'s' if views == 1 else ''}."
+        f"{'If something was: ' if doubtful(verdict, found) else ''}"
+        f"{found:,} of {total:,} Gaussians are tampered ({share(found / total)}); they "
+        f"cover {share(covered)} of what {shown} show{'s' if views == 1 else ''}."
     )
 
 
-def doubtful(result: Result) -> bool:
+def doubtful(verdict: float | None, found: int) -> bool:
     """Whether something was found although the verdict is not that anything was edited."""
-    return bool(result.labels.any() and result.verdict is not None and result.verdict < PROBABLY)
+    return found > 0 and verdict is not None and verdict < PROBABLY
 
 
 def verdict_sentence(located: Located) -> str:
-    """`found_sentence`, after a doubt where the verdict is not that anything was edited."""
-    said = found_sentence(located)
-    return f"{headline(located)} If something was: {said}" if doubtful(located.result) else said
+    """`found_sentence`, after the `headline` where the two do not agree."""
+    result = located.result
+    found, verdict = int(result.labels.sum()), result.verdict
+    said = found_sentence(
+        found,
+        len(result.labels),
+        verdict=verdict,
+        views=len(result.masks),
+        covered=located.visible_share,
+    )
+    return f"{headline(verdict, found)} {said}" if doubtful(verdict, found) else said
 
 
 def masks_sentence(result: Result) -> str | None:

@@ -42,10 +42,7 @@ def load_cameras(path: str | Path) -> list[Camera]:
         InputError: if nothing or several sets are found, a file is damaged, a camera is distorted
             or its pose not rigid, or two cameras have one name.
     """
-    path = Path(path)
-    if not path.exists():
-        raise InputError(f"{path}: no such file or folder, expected cameras; check the path")
-    source = _find(path) if path.is_dir() else path
+    source = _source(Path(path))
     cameras = _read(source)
     if not cameras:
         raise InputError(f"{source}: holds no cameras; export them again")
@@ -69,6 +66,28 @@ def save_cameras(path: str | Path, cameras: Sequence[Camera]) -> None:
     entries = [_entry(camera, index) for index, camera in enumerate(cameras)]
     with atomic(path) as temporary:
         temporary.write_text(json.dumps(entries), encoding="utf-8")
+
+
+def camera_files(path: str | Path) -> list[Path]:
+    """The files that `load_cameras` reads cameras from.
+
+    Args:
+        path: A file, or a folder that holds one, or a COLMAP model.
+
+    Raises:
+        InputError: if nothing or several sets are found.
+    """
+    source = _source(Path(path))
+    if source.is_dir():
+        return [source / name for name in MODEL_FILES if (source / name).is_file()]
+    return [source]
+
+
+def _source(path: Path) -> Path:
+    """The file, or the folder of a COLMAP model."""
+    if not path.exists():
+        raise InputError(f"{path}: no such file or folder, expected cameras; check the path")
+    return _find(path) if path.is_dir() else path
 
 
 def _find(folder: Path) -> Path:
@@ -127,13 +146,14 @@ def _camera(entry: Any, path: Path, index: int) -> Camera:
 
 def _entry(camera: Camera, index: int) -> dict[str, Any]:
     viewmat, K = np.asarray(camera.viewmat, np.float64), np.asarray(camera.K, np.float64)
-    rotation = viewmat[:3, :3].T
+    # Files round rotations, so that the transpose, as which it is read, is not quite the inverse.
+    rotation, position = viewmat[:3, :3].T, -np.linalg.solve(viewmat[:3, :3], viewmat[:3, 3])
     entry = {
         "id": index,
         "img_name": camera.name,
         "width": camera.width,
         "height": camera.height,
-        "position": (-rotation @ viewmat[:3, 3]).tolist(),
+        "position": position.tolist(),
         "rotation": rotation.tolist(),
         "fy": float(K[1, 1]),
         "fx": float(K[0, 0]),

@@ -165,10 +165,12 @@ def _property_chart(told: Property) -> Chart:
 
 def _level_sentence(result: Result, level: float | None) -> str:
     """What is to be seen in the histogram."""
-    values, found = result.attribute[result.seen], int(result.labels.sum())
+    values, found = result.attribute[result.seen], int((result.labels & result.seen).sum())
     seen = f"{len(values):,} Gaussians that were seen"
+    unseen = int(result.labels.sum()) - found
+    also = f" Called tampered besides: {unseen:,} that no view shows." if unseen else ""
     if level is None:
-        return f"No threshold applies; {found:,} of the {seen} are called tampered."
+        return f"No threshold applies; {found:,} of the {seen} are called tampered.{also}"
     beyond = int((values > level).sum())
     if found == beyond == 0:
         said = f"None of the {seen} lies right of the line, so none is called tampered."
@@ -179,6 +181,7 @@ def _level_sentence(result: Result, level: float | None) -> str:
             f"Right of the line lie {beyond:,} of the {seen}; called tampered are {found:,}, as "
             "the evidence on the whole scene has a say, too."
         )
+    said += also
     if isinstance(result.config, RobustConfig):
         unsure = int((np.abs(values) < SURE).sum())
         said += f" {unsure:,} lie between 10% and 90%, where more evidence could decide otherwise."

@@ -56,12 +56,12 @@ def properties(gaussians: Gaussians, labels: np.ndarray, seen: np.ndarray) -> li
     Args:
         gaussians: N Gaussians.
         labels: Which are tampered, shape (N,) bool.
-        seen: Which were looked at; the others are no authentic ones, shape (N,) bool.
+        seen: Which were looked at; the others are in neither group, shape (N,) bool.
 
     Returns:
         Six, or seven where the colours have harmonics; none where a group is empty.
     """
-    groups = [_some(np.flatnonzero(rows)) for rows in (labels, seen & ~labels)]
+    groups = [_some(np.flatnonzero(rows)) for rows in (seen & labels, seen & ~labels)]
     if not all(map(len, groups)):
         return []
     tampered, authentic = (list(_described(gaussians.take(rows))) for rows in groups)

@@ -11,12 +11,10 @@ import numpy as np
 from gsc_jax.app.results import Results
 from gsc_jax.app.viewing.poses import Pose, pose, upward
 from gsc_jax.app.viewing.splats import Splats, heat, largest, splats
-from gsc_jax.app.words import LIKELY, percent
-from gsc_jax.scene import Camera
-from gsc_jax.views import orbit_cameras
+from gsc_jax.app.words import found_sentence, headline, percent, share
 
 SAMPLE = 20_000
-"""Gaussians that tell how far away things are."""
+"""Gaussians that tell how far away things mostly are."""
 FRUSTUM = 0.08
 """Size of a drawn camera relative to its distance from what it looks at."""
 STOPS = 9
@@ -33,8 +31,7 @@ class Exhibit:
         splats: N splats in their own colours.
         score: Of tampering, shape (N,) float32.
         threshold: Above which the run called a Gaussian tampered.
-        start: Where the viewer begins.
-        poses: The cameras of the run.
+        poses: The cameras of the run, at least one; the viewer begins at the first.
         up: Unit direction that is up, shape (3,).
         near: Near plane in world units.
         far: Distance beyond which nothing is, in world units.
@@ -46,7 +43,6 @@ class Exhibit:
     splats: Splats
     score: np.ndarray
     threshold: float
-    start: Pose
     poses: list[Pose]
     up: np.ndarray
     near: float
@@ -65,31 +61,26 @@ def exhibit(results: Results, *, most: int) -> tuple[Exhibit, list[str]]:
         The exhibit, and what a person should know of it.
     """
     rows = largest(results.gaussians, most)
+    drawn = splats(results.gaussians.take(rows))
     means = np.asarray(results.gaussians.means)
     sample = means[np.linspace(0, len(means) - 1, min(len(means), SAMPLE)).astype(np.int64)]
     near = float(results.report["config"]["near"])
     up = upward(results.cameras)
-
-    def seen_from(camera: Camera) -> Pose:
-        return pose(camera, sample, up=up, near=near)
-
-    poses = [seen_from(camera) for camera in results.cameras]
-    start = poses[0] if poses else seen_from(orbit_cameras(results.gaussians, 1)[0])
-    distances = [np.linalg.norm(place.look_at - place.position) for place in [start, *poses]]
+    poses = [pose(camera, sample, up=up, near=near) for camera in results.cameras]
+    distances = [np.linalg.norm(place.look_at - place.position) for place in poses]
     shown = Exhibit(
         title=results.folder.resolve().name,
         said=_said(results.report),
-        splats=splats(results.gaussians.take(rows)),
+        splats=drawn,
         score=results.tamper[rows],
         threshold=results.threshold,
-        start=start,
         poses=poses,
         up=up,
         near=near,
-        far=_reach(sample, [start, *poses]),
+        far=_reach(drawn.centers, poses),
         frustum=FRUSTUM * float(np.median(distances)),
     )
-    return shown, [*results.notes, *_left_out(results, rows)]
+    return shown, _left_out(results, rows)
 
 
 def counted(score: np.ndarray, threshold: float) -> str:
@@ -103,7 +94,7 @@ def counted(score: np.ndarray, threshold: float) -> str:
         A sentence without its stop.
     """
     found = int(np.count_nonzero(score > threshold))
-    return f"{found:,} of {len(score):,} Gaussians ({found / len(score):.1%}) score above it"
+    return f"{found:,} of {len(score):,} Gaussians ({share(found / len(score))}) score above it"
 
 
 def legend() -> str:
@@ -122,22 +113,24 @@ def legend() -> str:
 def _said(report: dict[str, Any]) -> list[str]:
     """What was found, as result.json tells it."""
     counts, verdict = report["counts"], report.get("verdict")
-    found, total = counts["tampered"], counts["gaussians"]
-    said = f"No tampered Gaussian was found: none of {total:,}."
-    if found:
-        said = f"{found:,} of {total:,} Gaussians are tampered ({found / total:.1%})."
+    said = found_sentence(
+        counts["tampered"],
+        counts["gaussians"],
+        verdict=verdict,
+        views=len(report["per_view"]),
+        covered=report["tampered_share_of_views"],
+    )
     if verdict is None:
         return [said]
-    likely = next(sentence for least, sentence in LIKELY if verdict >= least)
-    return [likely, f"{said} The probability that anything was edited is {percent(verdict)}."]
+    probability = f"The probability that anything was edited is {percent(verdict)}."
+    return [headline(verdict, counts["tampered"]), f"{said} {probability}"]
 
 
 def _reach(points: np.ndarray, poses: list[Pose]) -> float:
-    """Twice the distance from any camera to the farthest thing."""
-    places = np.stack([place.position for place in poses])
-    everything = np.concatenate([points, places])
-    middle = np.median(points, axis=0)
-    return 4 * float(np.linalg.norm(everything - middle, axis=1).max()) + 1
+    """Twice the size of the box around all things, cameras and what these look at."""
+    places = [place for pose in poses for place in (pose.position, pose.look_at)]
+    everything = np.concatenate([points.astype(np.float64), places])
+    return 2 * float(np.linalg.norm(np.ptp(everything, axis=0)))
 
 
 def _left_out(results: Results, rows: np.ndarray) -> list[str]:

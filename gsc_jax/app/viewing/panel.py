@@ -13,7 +13,7 @@ import numpy as np
 
 from gsc_jax.app.viewing.exhibit import Exhibit, counted, legend
 from gsc_jax.app.viewing.poses import Pose
-from gsc_jax.app.viewing.splats import MODES, fitting_half, half_unit, shown
+from gsc_jax.app.viewing.splats import MODES, Mode, fitting_half, half_unit, shown
 
 if TYPE_CHECKING:
     import viser
@@ -46,7 +46,7 @@ def add_scene(server: "viser.ViserServer", exhibit: Exhibit) -> Nodes:
     Returns:
         What the panel changes.
     """
-    scene, first = server.scene, server.initial_camera
+    scene, first, start = server.scene, server.initial_camera, exhibit.poses[0]
     unit = half_unit(exhibit.splats)
     scene.set_up_direction(exhibit.up)
     scene.world_axes.visible = False
@@ -58,7 +58,6 @@ def add_scene(server: "viser.ViserServer", exhibit: Exhibit) -> Nodes:
         opacities=exhibit.splats.opacities,
         scale=unit,
     )
-    start = exhibit.start
     first.position, first.look_at, first.up = start.position, start.look_at, start.up
     first.fov, first.near, first.far = start.fov, exhibit.near, exhibit.far
     return Nodes(
@@ -104,17 +103,20 @@ def add_controls(server: "viser.ViserServer", exhibit: Exhibit, nodes: Nodes) ->
     gui.add_html(legend())
     background = gui.add_rgb("background", (0, 0, 0))
     _add_cameras(server, exhibit, nodes)
-    sent, lock = MODES[0], threading.Lock()
+    sent: tuple[Mode, float | None] = MODES[0], None
+    lock = threading.Lock()
 
     def paint(_: object = None) -> None:
         nonlocal sent
-        # Of several changes at once, whichever comes last here sees the newest values.
+        # Each of several changes at once finds the newest values here: the first sends them.
         with lock:
-            count.content = f"{counted(exhibit.score, threshold.value)}."
-            if mode.value == sent and not mode.value.endswith("only"):
+            asked, level = mode.value, threshold.value
+            count.content = f"{counted(exhibit.score, level)}."
+            wanted = (asked, level if asked.endswith("only") else None)
+            if wanted == sent:
                 return
-            sent = mode.value
-            rgbs, opacities = shown(exhibit.splats, exhibit.score, mode.value, threshold.value)
+            sent = wanted
+            rgbs, opacities = shown(exhibit.splats, exhibit.score, asked, level)
             splats.set_gaussians(splats.centers, splats.covariances, rgbs, opacities)
 
     def fill(_: object = None) -> None:
@@ -129,8 +131,6 @@ def add_controls(server: "viser.ViserServer", exhibit: Exhibit, nodes: Nodes) ->
 
 def _add_cameras(server: "viser.ViserServer", exhibit: Exhibit, nodes: Nodes) -> None:
     """Cameras to jump to: by name, one after the other, or by clicking on them."""
-    if not exhibit.poses:
-        return
     gui, names = server.gui, [pose.name for pose in exhibit.poses]
     with gui.add_folder("cameras"):
         visible = gui.add_checkbox("visible", True)

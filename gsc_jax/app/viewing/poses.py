@@ -39,13 +39,13 @@ def upward(cameras: Sequence[Camera]) -> np.ndarray:
     """What is up in a scene, as photographs are mostly taken upright.
 
     Args:
-        cameras: The cameras.
+        cameras: The cameras, at least one.
 
     Returns:
-        A unit direction, shape (3,); -y where there are no cameras or they disagree.
+        A unit direction, shape (3,); -y where they disagree.
     """
     ups = np.array([-np.asarray(camera.viewmat, np.float64)[1, :3] for camera in cameras])
-    mean = ups.mean(axis=0) if len(ups) else np.zeros(3)
+    mean = ups.mean(axis=0)
     length = np.linalg.norm(mean)
     return mean / length if length > TILTED else np.array([0.0, -1.0, 0.0])
 

@@ -45,13 +45,20 @@
     send({ type: "SceneNodeUpdateMessage", name: SPLATS, updates: { buffer } });
   }
 
+  // A share for people, in the words of the report.
+  function shareOf(part) {
+    if (part > 0 && part < 0.0005) return "<0.1%";
+    if (part >= 0.9995 && part < 1) return ">99.9%";
+    return part === 0 || part === 1 ? `${100 * part}%` : `${(100 * part).toFixed(1)}%`;
+  }
+
   function count() {
     const threshold = Math.fround(part("threshold").value);
     const found = scores.reduce((sum, score) => sum + (score > threshold), 0);
-    const share = ((100 * found) / scores.length).toFixed(1);
+    const share = shareOf(found / scores.length);
     const [some, all] = [found, scores.length].map((number) => number.toLocaleString("en-US"));
     part("value").value = Number(part("threshold").value).toFixed(3);
-    part("count").textContent = `${some} of ${all} Gaussians (${share}%) score above it.`;
+    part("count").textContent = `${some} of ${all} Gaussians (${share}) score above it.`;
   }
 
   function lookFrom(pose) {
@@ -78,7 +85,6 @@
     part("background").addEventListener("input", (event) => {
       window.__viserMutable.canvas.parentElement.style.background = event.target.value;
     });
-    if (told.poses.length === 0) return;
     part("camera").addEventListener("change", () => step(0));
     part("previous").addEventListener("click", () => step(-1));
     part("next").addEventListener("click", () => step(1));

@@ -28,7 +28,9 @@ def test_a_run_succeeds_and_sums_up(found):
     assert answer.code == 0
     first = answer.out.splitlines()[0]
     labels = np.load(out / "labels.npy")
-    assert first.startswith(f"{labels.sum():,} of {COUNT - len(BROKEN)} Gaussians are tampered")
+    assert first.startswith(
+        f"{labels.sum():,} of {COUNT - len(BROKEN)} Gaussians are labelled as tampered"
+    )
     assert "of what 3 views show" in first
     for name in ("report.html", "overview.png", "tamper.ply", "result.json"):
         assert str(out / name) in answer.out

@@ -105,7 +105,7 @@ def test_the_story_names_the_regime_and_its_masks_score(told):
 
 def test_pictures_are_written_where_the_story_says(told):
     out, lines, _ = told
-    told_of = re.findall(rf"{re.escape(str(out))}\S*\.png", "\n".join(lines))
+    told_of = re.findall(rf"{re.escape(str(out))}\S*\.(?:png|html)", "\n".join(lines))
     assert len(told_of) == 1 + len(demo.RUNS) + 2
     for path in told_of:
         assert iio.imread(path)[..., :3].std() > 10, "the picture is empty"

@@ -47,7 +47,8 @@ def test_a_share_is_nothing_or_all_only_where_it_is(part: float):
 def test_what_is_rare_is_not_told_as_nothing():
     said = words.found_sentence(3, 10**6, verdict=0.9, views=20, covered=1e-5)
     assert said == (
-        "3 of 1,000,000 Gaussians are tampered (<0.1%); they cover <0.1% of what 20 views show."
+        "3 of 1,000,000 Gaussians are labelled as tampered (<0.1%); "
+        "they cover <0.1% of what 20 views show."
     )
 
 

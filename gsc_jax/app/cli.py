@@ -66,6 +66,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         The exit code.
     """
     argv = list(sys.argv[1:] if argv is None else argv)
+    if isinstance(sys.stdout, io.TextIOWrapper):  # a path may hold bytes that are no text
+        sys.stdout.reconfigure(errors="backslashreplace")
     if argv == ["--version"]:
         print(f"gsc-jax {importlib.metadata.version('gsc_jax')}")
         return 0

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from gsc_jax.app.asked import network_path
 from gsc_jax.app.options import Locate
+from gsc_jax.app.publish import FILES
 from gsc_jax.app.run import Plan, plan_locate
 from gsc_jax.app.trial import Trial, try_out
 from gsc_jax.errors import InputError
@@ -16,7 +17,6 @@ from gsc_jax.stages import Progress, silent
 
 MARGIN = 0.7, 1.7
 """How far off the seconds may be either way: views differ, and machines do other things as well."""
-FIRST = "tamper.ply", "highlight.ply", "labels.npy", "tamper.npy", "report.html", "result.json"
 
 
 def dry_run(options: Locate, *, progress: Progress = silent) -> tuple[list[str], list[str]]:
@@ -116,7 +116,7 @@ def _method(config: Config) -> str:
 def _writes(plan: Plan, trial: Trial) -> str:
     """Where the results go, how large they are, and what they replace."""
     out = plan.asked.options.out
-    names = [*FIRST, *(image_path("masks", camera.name) for camera in plan.cameras)]
+    names = [*FILES, *(image_path("masks", camera.name) for camera in plan.cameras)]
     replaced = sum((out / name).exists() for name in names)
     said = "beside what is there" if out.exists() else "a new folder"
     if (out / "result.json").exists():

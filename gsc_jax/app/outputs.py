@@ -60,6 +60,7 @@ def write_results(
     progress("write", 0, len(cameras))
     save_cameras(folder / "views.json", cameras)
     _write_scenes(folder, scene, result)
+    progress("write", 0, len(cameras))  # what comes is in proportion to the views
     gaussians = jax.device_put(scene.gaussians)
     renders: dict[str, np.ndarray] = {}
 

@@ -27,6 +27,7 @@ from gsc_jax.app.reporting.charts import (
 )
 from gsc_jax.app.reporting.thumbnails import LAYERS, Picture, pictures, url
 from gsc_jax.app.words import (
+    TRACES,
     WORTH,
     effort_sentence,
     found_sentence,
@@ -110,6 +111,7 @@ def report_page(
         effort=effort_sentence(result),
         traces=sorted(result.native.traces, key=lambda t: not t.found) if result.native else [],
         traces_found=traces_found(result),
+        trace_words=TRACES,
         views=views,
         layers=[layer for layer in LAYERS if layer.name in present],
         worth=WORTH,
@@ -119,13 +121,19 @@ def report_page(
         counts=_counts(report, located),
         tables={
             "Configuration": _flat(report["config"]),
-            "Command": _flat(report["command"]),
+            "Command": _flat(_asked_for(report["command"])),
             "Versions": _flat(report["versions"]),
         },
         style=style,
         script=script,
         script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
     )
+
+
+def _asked_for(command: Mapping[str, Any]) -> dict[str, Any]:
+    """The options that say something, of which the rest is left to the method."""
+    left = [name for name, said in command.items() if said is None or said is False or said == []]
+    return {name: said for name, said in command.items() if name not in left}
 
 
 def _views(folder: Path, report: Mapping[str, Any], progress: Progress) -> Iterator[View]:

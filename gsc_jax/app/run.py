@@ -117,7 +117,7 @@ def run_locate(options: Locate, *, progress: Progress = silent) -> Located:
             warnings=[*plan.warnings, *result.warnings],
         )
         write_report(folder, dataclasses.asdict(asked.options), located, progress=progress)
-    return located
+    return dataclasses.replace(located, seconds=stages.elapsed())
 
 
 def run_render(options: Render, *, progress: Progress = silent) -> tuple[int, list[str]]:

@@ -85,7 +85,9 @@ def headline(verdict: float | None, found: int) -> str:
     """
     if verdict is not None:
         return next(said for least, said in LIKELY if verdict >= least)
-    return "Tampered Gaussians were found." if found else "No tampered Gaussian was found."
+    if found:
+        return "Something was labelled; whether it was tampered with, this method cannot say."
+    return "No tampered Gaussian was found."
 
 
 def found_sentence(
@@ -105,7 +107,7 @@ def found_sentence(
         return f"No tampered Gaussian was found: none of {total:,}, in {shown}."
     return (
         f"{'If something was: ' if doubtful(verdict, found) else ''}"
-        f"{found:,} of {total:,} Gaussians are tampered ({share(found / total)}); they "
+        f"{found:,} of {total:,} Gaussians are labelled as tampered ({share(found / total)}); they "
         f"cover {share(covered)} of what {shown} show{'s' if views == 1 else ''}."
     )
 
@@ -144,6 +146,31 @@ def effort_sentence(result: Result) -> str | None:
     if effort is None or effort.views == effort.available:
         return None
     return f"at {effort.views} of {effort.available} views: {effort.reason}"
+
+
+TRACES: dict[str, tuple[str, str]] = {
+    "copied": (
+        "Copies",
+        "Copying a part of a scene, as to fill a hole, leaves the same numbers in two places.",
+    ),
+    "lattice": (
+        "Digits",
+        "A file that was saved with few digits has none between them; what was added later has.",
+    ),
+    "degree": (
+        "Colour model",
+        "How much colours change with the view is one setting of a training, for all of a scene.",
+    ),
+    "rows": (
+        "Order of the file",
+        "Training leaves Gaussians in no order; what is appended lies together at the end.",
+    ),
+    "quaternions": (
+        "Rotations",
+        "A program writes rotations in one convention; what another one wrote differs.",
+    ),
+}
+"""What traces of editing are called, and why they tell of it, by name."""
 
 
 def traces_found(result: Result) -> list[Trace]:

@@ -2,6 +2,7 @@
 
 import json
 import re
+from pathlib import Path
 from typing import get_args
 
 import imageio.v3 as iio
@@ -106,9 +107,10 @@ def test_the_story_names_the_regime_and_its_masks_score(told):
 def test_pictures_are_written_where_the_story_says(told):
     out, lines, _ = told
     told_of = re.findall(rf"{re.escape(str(out))}\S*\.(?:png|html)", "\n".join(lines))
-    assert len(told_of) == 1 + len(demo.RUNS) + 2
-    for path in told_of:
-        assert iio.imread(path)[..., :3].std() > 10, "the picture is empty"
+    picture, *reports = told_of
+    assert iio.imread(picture)[..., :3].std() > 10, "the picture is empty"
+    assert len(reports) == len(demo.RUNS) + 2
+    assert all("</html>" in Path(report).read_text(encoding="utf-8") for report in reports)
 
 
 def test_the_scene_before_the_edit_lies_beside_it(told):

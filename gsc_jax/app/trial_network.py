@@ -38,8 +38,8 @@ def try_network(asked: Asked, shown: Sequence[tuple[np.ndarray, Camera]]) -> Net
     """
     detector = asked.detector
     assert detector is not None
-    remembers = isinstance(detector, CachedDetector)
-    new = [one for one in shown if not (remembers and detector.holds(one[0]))]
+    kept = detector.holds if isinstance(detector, CachedDetector) else lambda _: False
+    new = [one for one in shown if not kept(one[0])]
     begin = time.perf_counter()
     for image, camera in new[:1]:
         detector(image, camera)

@@ -7,6 +7,7 @@ scenes beside the repository.
 
 import json
 import re
+import shlex
 import subprocess
 import sys
 import tempfile
@@ -27,14 +28,23 @@ def cases() -> list[str]:
     alone = [f"{path} --cameras {path.with_suffix('')}.cameras.json" for path in DATA.glob("*.ply")]
     masked = [
         f"{folder}/scene.ply --cameras {folder}/cameras.json --masks {folder}/detector"
-        for folder in TAMPERED.iterdir()
+        for folder in sorted(path for path in TAMPERED.iterdir() if path.is_dir())
     ]
     return [*sorted(alone), *masked, f"{masked[0]} --method paper"]
 
 
 def run(case: str, out: Path, *more: str) -> tuple[str, float]:
     """What a run prints, and the seconds from its start to its end."""
-    command = [sys.executable, "-m", "gsc_jax", "locate", *case.split(), "--out", str(out), *more]
+    command = [
+        sys.executable,
+        "-m",
+        "gsc_jax",
+        "locate",
+        *shlex.split(case),
+        "--out",
+        str(out),
+        *more,
+    ]
     begin = time.perf_counter()
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:

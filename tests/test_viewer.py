@@ -57,7 +57,15 @@ class TestSplats:
         axes = np.sort(np.asarray(scene.scales), axis=1)
         shows = np.asarray(scene.opacities) * axes[:, 1] * axes[:, 2]
         expected = np.sort(np.argsort(-shows)[:count])
-        np.testing.assert_array_equal(largest(scene, count), expected)
+        nobody = np.zeros(20, bool)
+        np.testing.assert_array_equal(largest(scene, count, first=nobody), expected)
+
+    @given(st.integers(1, 20))
+    def test_what_is_tampered_is_not_left_out_for_what_is_large(self, count):
+        scene = random_scene(20)
+        first = np.arange(20) % 4 == 0
+        rows = largest(scene, count, first=first)
+        assert first[rows].sum() == min(count, first.sum())
 
 
 class TestShown:

@@ -301,7 +301,8 @@ class View:
         port: Port to serve the page at.
         host: Address to serve the page at: `localhost` for this machine only, 0.0.0.0 for whoever
             can reach it.
-        most: Most Gaussians to show, by opacity times area; a browser has its limits.
+        most: Most Gaussians to show: the tampered ones, and of the others those of largest opacity
+            times area; a browser has its limits.
         no_browser: Do not open the page in a browser, only say where it is.
     """
 

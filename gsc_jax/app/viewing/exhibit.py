@@ -60,7 +60,7 @@ def exhibit(results: Results, *, most: int) -> tuple[Exhibit, list[str]]:
     Returns:
         The exhibit, and what a person should know of it.
     """
-    rows = largest(results.gaussians, most)
+    rows = largest(results.gaussians, most, first=results.labels)
     drawn = splats(results.gaussians.take(rows))
     means = np.asarray(results.gaussians.means)
     sample = means[np.linspace(0, len(means) - 1, min(len(means), SAMPLE)).astype(np.int64)]

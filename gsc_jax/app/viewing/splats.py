@@ -71,12 +71,13 @@ def splats(gaussians: Gaussians) -> Splats:
     )
 
 
-def largest(gaussians: Gaussians, count: int) -> np.ndarray:
+def largest(gaussians: Gaussians, count: int, *, first: np.ndarray) -> np.ndarray:
     """The Gaussians that show most: those of largest opacity times area.
 
     Args:
         gaussians: N Gaussians.
         count: How many, at most.
+        first: Which come before all others, if they can be seen at all, shape (N,) bool.
 
     Returns:
         Rows, ascending, shape (min(N, count),) int64.
@@ -87,7 +88,8 @@ def largest(gaussians: Gaussians, count: int) -> np.ndarray:
     opacities = np.asarray(gaussians.opacities, np.float64)
     with np.errstate(divide="ignore"):  # invisible ones come last
         shows = np.log(opacities) + axes[:, 1] + axes[:, 2]
-    return np.sort(np.argpartition(-shows, count - 1)[:count])
+    order = np.lexsort((-shows, ~(first & np.isfinite(shows))))
+    return np.sort(order[:count])
 
 
 def heat(score: Array) -> np.ndarray:

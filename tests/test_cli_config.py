@@ -238,3 +238,14 @@ def test_help_shows_what_the_file_says(case, tmp_path, capsys, monkeypatch):
     assert "default: 7" in text
     assert "--no-all-views" in text
     assert not np.char.count(text, "default: all)")
+
+
+def test_of_a_path_that_nobody_typed_it_is_told_where_it_comes_from(case, tmp_path):
+    file = tmp_path / "run.toml"
+    file.write_text('[command]\nmasks = "moved/masks"\n')
+    typed = given(case, masks=None)
+    message = refused(*typed, "--config", file, "--out", tmp_path / "out")
+    assert message.count(str(file)) == 1
+    assert "relative to where you are" in message
+    plain = refused(*given(case, masks=tmp_path / "moved"), "--out", tmp_path / "out")
+    assert "relative to where you are" not in plain

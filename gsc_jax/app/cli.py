@@ -71,10 +71,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     if argv == ["--version"]:
         print(f"gsc-jax {importlib.metadata.version('gsc_jax')}")
         return 0
+    command = None
     try:
-        _run(parse(argv))
+        command = parse(argv)
+        _run(command)
     except InputError as error:
-        return _complain(str(error), 2)
+        return _complain(f"{error}{_from_a_file(command, argv, str(error))}", 2)
     except BrokenPipeError:  # whoever read our stdout, such as `head`, has had enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
@@ -84,6 +86,17 @@ def main(argv: Sequence[str] | None = None) -> int:
         kept = getattr(stop, "__notes__", None) or ["no file is left half written"]
         return _complain("; ".join(["interrupted", *kept]), 130)
     return 0
+
+
+def _from_a_file(command: Command | None, argv: Sequence[str], error: str) -> str:
+    """Where a path comes from that is complained of, if nobody typed it."""
+    if not isinstance(command, Locate) or command.config is None:
+        return ""
+    paths = [command.scene, command.cameras, command.masks, command.spec, *command.detector]
+    told = {str(path) for path in paths if path} - set(argv)
+    if not any(error.startswith(path) for path in told):
+        return ""
+    return f" (said by {command.config}, whose paths are relative to where you are)"
 
 
 def parse(argv: Sequence[str]) -> Command:

@@ -109,6 +109,8 @@
     }
   }
 
+  // On a phone the toolbar would cover the scene.
+  document.getElementById("gsc").open = window.innerWidth > 600;
   count();
   begin(performance.now());
 })();

@@ -18,6 +18,7 @@ from plyfile import PlyData, PlyElement
 
 from gsc_jax.app import asked, cli
 from gsc_jax.benchmark.metrics import truth_mask
+from gsc_jax.detectors.onnx import OnnxDetector
 from gsc_jax.io.cameras import save_cameras
 from gsc_jax.io.layout import encode
 from gsc_jax.io.masks import image_path, write_mask
@@ -156,3 +157,16 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 FIXTURES = case, found, own_cache
+
+
+def views_asked_of_networks(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The views that ONNX networks are asked about from now on, by name."""
+    asked: list[str] = []
+    judged = OnnxDetector.__call__
+
+    def counting(self, image, camera):
+        asked.append(camera.name)
+        return judged(self, image, camera)
+
+    monkeypatch.setattr(OnnxDetector, "__call__", counting)
+    return asked

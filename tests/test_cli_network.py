@@ -2,10 +2,19 @@
 
 import numpy as np
 import pytest
-from cli_case import BROKEN, FIXTURES, NAMES, given, network, refused, report, run
+from cli_case import (
+    BROKEN,
+    FIXTURES,
+    NAMES,
+    given,
+    network,
+    refused,
+    report,
+    run,
+    views_asked_of_networks,
+)
 
 from gsc_jax.benchmark.metrics import f1_score
-from gsc_jax.detectors.onnx import OnnxDetector
 
 case, found, own_cache = FIXTURES
 pytestmark = pytest.mark.usefixtures("own_cache")
@@ -58,14 +67,7 @@ def test_the_spec_beside_a_model_is_taken_and_named(case, tmp_path):
 
 
 def test_a_second_run_asks_no_network(case, tmp_path, monkeypatch, own_cache):
-    asked = []
-    judged = OnnxDetector.__call__
-
-    def counting(self, image, camera):
-        asked.append(camera.name)
-        return judged(self, image, camera)
-
-    monkeypatch.setattr(OnnxDetector, "__call__", counting)
+    asked = views_asked_of_networks(monkeypatch)
     argv = given(case, masks=None, detector=network(tmp_path / "red.onnx"))
     assert run(*argv, "--no-cache", "--out", tmp_path / "never").code == 0
     assert not own_cache.exists()

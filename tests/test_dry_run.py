@@ -5,12 +5,20 @@ import types
 
 import numpy as np
 import pytest
-from cli_case import COUNT, FIXTURES, contents, given, network, refused, run
+from cli_case import (
+    COUNT,
+    FIXTURES,
+    contents,
+    given,
+    network,
+    refused,
+    run,
+    views_asked_of_networks,
+)
 
 from gsc_jax.app import dry_run, trial
 from gsc_jax.app.options import Locate
 from gsc_jax.app.run import plan_locate
-from gsc_jax.detectors.onnx import OnnxDetector
 from gsc_jax.frugal import batches
 
 case, found, own_cache = FIXTURES
@@ -63,14 +71,7 @@ def test_other_files_stay(case, tmp_path):
 
 
 def test_a_network_is_timed_on_one_view_that_is_kept(case, tmp_path, monkeypatch):
-    asked = []
-    judged = OnnxDetector.__call__
-
-    def counting(self, image, camera):
-        asked.append(camera.name)
-        return judged(self, image, camera)
-
-    monkeypatch.setattr(OnnxDetector, "__call__", counting)
+    asked = views_asked_of_networks(monkeypatch)
     model = network(tmp_path / "red.onnx")
     argv = [*given(case, masks=None, detector=model), "--out", tmp_path / "out"]
     first = said(run(*argv, "--dry-run").out)

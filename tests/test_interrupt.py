@@ -13,13 +13,12 @@ from pathlib import Path
 import numpy as np
 import onnx
 import pytest
-from cli_case import FIXTURES, contents, given, report, run
+from cli_case import FIXTURES, contents, given, report, run, views_asked_of_networks
 from onnx import TensorProto, helper, numpy_helper
 
 from gsc_jax.app import asked
 from gsc_jax.app.patience import Interruptible, uninterrupted
 from gsc_jax.app.publish import ABANDONED_SECONDS, UNFINISHED, replacing
-from gsc_jax.detectors.onnx import OnnxDetector
 from gsc_jax.scene import Camera
 
 case, found, own_cache = FIXTURES
@@ -110,14 +109,6 @@ def slow_network(path: Path, steps: int) -> Path:
     return path
 
 
-def counting(function: Callable, views: list[str]) -> Callable:
-    def counted(self, image, camera):
-        views.append(camera.name)
-        return function(self, image, camera)
-
-    return counted
-
-
 def test_while_a_network_judges(case, tmp_path, monkeypatch):
     """The answers so far are kept, the one it is at is not waited for, the next run goes on."""
     cache, out = tmp_path / "cache", tmp_path / "out"
@@ -138,8 +129,7 @@ def test_while_a_network_judges(case, tmp_path, monkeypatch):
     assert f"nothing was changed in {out}" in err
     assert contents(out) == before
     assert not list(out.glob(".*"))
-    asked_about = []
-    monkeypatch.setattr(OnnxDetector, "__call__", counting(OnnxDetector.__call__, asked_about))
+    asked_about = views_asked_of_networks(monkeypatch)
     assert run(*argv).code == 0
     assert len(asked_about) == 3 - judged
     assert report(out)["judged_views"] == 3

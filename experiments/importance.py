@@ -22,7 +22,7 @@ from train_cues import Examples, read_examples
 from gsc_jax.benchmark.metrics import auc
 from gsc_jax.cues import select
 from gsc_jax.errors import InputError
-from gsc_jax.native import Model, raw_odds
+from gsc_jax.suspicion import Model, raw_odds
 
 NOTHING = "nothing"
 

@@ -3,14 +3,14 @@
     python experiments/train_cues.py [--keep .cues] [--out gsc_jax/cues.npz]
 
 Edits of all scenes with seeds that no table uses, exported so that host and object have the same
-digits. A network is trained for every set of scenes that leaves one or two out. Those that leave
-out one are averaged to the model that comes with the package; those that leave out a scene and
-another one are averaged to the model of the first, by which the tables judge it. What a network
-says of the scene that it alone was not trained on calibrates the average.
+digits. The model that comes with the package learned from all scenes; for every scene there is one
+that learned from the others, by which the tables judge it. A model is calibrated by networks that
+left out one scene more: by what they say of that one.
 """
 
 import dataclasses
 import itertools
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -27,19 +27,26 @@ from gsc_jax.benchmark.tamper import EDITS, Edit
 from gsc_jax.cues import CLIP, cues
 from gsc_jax.errors import InputError
 from gsc_jax.io.files import atomic
-from gsc_jax.native import (
+from gsc_jax.scene import Gaussians
+from gsc_jax.suspicion import (
     Layers,
     Model,
     as_arrays,
-    network,
-    opinions,
+    calibration_in,
+    judged,
+    settled,
     worst_part,
 )
-from gsc_jax.scene import Gaussians
 
 FIRST_SEED = 10
+SEEDS = {"incorporation": 18, "modification": 36, "removal": 12}
+"""How many of each kind of edit: the less it shows, the more there is to learn."""
 WHOLE = 2
-"""Seeds of whole scenes, which take long."""
+"""Seeds of whole scenes, by which the models are calibrated."""
+MEMBERS = 3
+"""Networks of a model, which differ by chance; their mean is more reliable than any of them."""
+SAMPLE = 20_000
+"""Rows of a whole scene that do so."""
 MOST = 4000, 8000
 """Rows of a case that are learned from, tampered and authentic."""
 SHARE = 0.3
@@ -49,19 +56,22 @@ STEPS, BATCH = 1000, 2048
 RATE, DECAY, DROPOUT, NOISE = 2e-3, 1e-2, 0.2, 0.3
 
 
+Networks = tuple[Layers, ...]
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Args:
     """What to train on.
 
     Attributes:
-        seeds: How many seeds per scene and edit, from 10 on.
+        share: Of the seeds of each kind of edit, for a smaller run.
         data: The real scenes.
         keep: Folder for what is worked out on the way, so that a second run is quick, and for the
             models that leave out a scene. Remove it after a change of the cues.
         out: The model that comes with the package.
     """
 
-    seeds: int = 6
+    share: float = 1.0
     data: Path = DATA
     keep: Path = Path(".cues")
     out: Path = Path("gsc_jax/cues.npz")
@@ -75,6 +85,7 @@ class Examples:
     """
 
     scene: str
+    edit: str
     scenes: frozenset[str]
     values: np.ndarray
     labels: np.ndarray
@@ -116,6 +127,7 @@ def read_examples(path: Path) -> Examples:
         pasted = donor_name(scene, int(seed)) if edit == "incorporation" else ""
         return Examples(
             scene=scene,
+            edit=edit,
             scenes=frozenset({scene, pasted.removeprefix(CUT)}),
             values=values,
             labels=labels,
@@ -128,7 +140,7 @@ def trained(cases: Sequence[Examples], seed: int) -> Layers:
     """A network that tells tampered rows of these cases from authentic ones.
 
     Args:
-        cases: Each counts alike, however many rows it has.
+        cases: Each kind of edit counts alike, and in it each case, however many rows it has.
         seed: Of the start, the batches and the noise.
 
     Returns:
@@ -138,8 +150,8 @@ def trained(cases: Sequence[Examples], seed: int) -> Layers:
     labels = np.concatenate([case.labels for case in cases])
     weights = np.concatenate(
         [
-            np.where(case.labels, SHARE / case.labels.sum(), (1 - SHARE) / (~case.labels).sum())
-            for case in cases
+            weight * np.where(c.labels, SHARE / c.labels.sum(), (1 - SHARE) / (~c.labels).sum())
+            for c, weight in zip(cases, balanced([c.edit for c in cases]), strict=True)
         ]
     )
     along, rng = np.cumsum(weights) / weights.sum(), np.random.default_rng(seed)
@@ -164,6 +176,12 @@ def trained(cases: Sequence[Examples], seed: int) -> Layers:
     return jax.tree.map(np.asarray, layers)
 
 
+def balanced(kinds: Sequence[str]) -> np.ndarray:
+    """Weights of cases under which each kind counts alike; their sum is 1."""
+    counts = Counter(kinds)
+    return np.array([1 / (len(counts) * counts[kind]) for kind in kinds])
+
+
 def _started(rng: np.random.Generator, sizes: Sequence[int]) -> Layers:
     return tuple(
         (rng.normal(0, m**-0.5, (m, n)).astype(np.float32), np.zeros(n, np.float32))
@@ -184,13 +202,15 @@ def shaken(layers: Layers, values: jax.Array, key: jax.Array) -> jax.Array:
     return values[:, 0]
 
 
-def networks_of(cases: Sequence[Examples], scenes: Sequence[str]) -> dict[frozenset[str], Layers]:
-    """A network for every one or two scenes that are left out, by these scenes."""
-    left_out = [*itertools.combinations(scenes, 1), *itertools.combinations(scenes, 2)]
-    return {
-        frozenset(without): trained([c for c in cases if not c.scenes & set(without)], seed=k)
-        for k, without in enumerate(tqdm(left_out, desc="networks", disable=None))
-    }
+def networks_of(cases: Sequence[Examples], scenes: Sequence[str]) -> dict[frozenset[str], Networks]:
+    """Networks for every set of scenes that is left out: none, one, or, to calibrate, two."""
+    left_out = [frozenset(some) for k in range(3) for some in itertools.combinations(scenes, k)]
+    jobs = [(some, k) for some in left_out for k in range(MEMBERS if len(some) < 2 else 1)]
+    networks: dict[frozenset[str], Networks] = {}
+    for seed, (some, _) in enumerate(tqdm(jobs, desc="networks", disable=None)):
+        one = trained([case for case in cases if not case.scenes & some], seed=seed)
+        networks[some] = (*networks.get(some, ()), one)
+    return networks
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -199,45 +219,33 @@ class Fold:
 
     Attributes:
         heldout: The scene, None of the model that saw all.
-        networks: By another scene, the network that saw neither.
-        model: All of them, calibrated.
+        model: What is judged.
+        others: By another scene, a network that saw neither: by these the model is calibrated.
     """
 
     heldout: str | None
-    networks: dict[str, Layers]
     model: Model
-
-    def without(self, scene: str) -> Model:
-        """The calibrated model that is judged on one more scene, which it did not see."""
-        return dataclasses.replace(self.model, networks=(self.networks[scene],))
+    others: dict[str, Layers]
 
 
 def fold_of(
     heldout: str | None,
     cases: Sequence[Examples],
-    networks: Mapping[frozenset[str], Layers],
+    networks: Mapping[frozenset[str], Networks],
 ) -> Fold:
-    """Average and calibrate the networks that did not see a scene."""
+    """The networks that did not see a scene; what they say is not calibrated yet."""
     cases = [case for case in cases if heldout not in case.scenes]
-    own = {
-        scene: networks[frozenset({scene, heldout} - {None})]
-        for scene in dict.fromkeys(case.scene for case in cases)
-    }
-    raw = [np.asarray(network(own[c.scene], jnp.asarray(c.values, jnp.float32))) for c in cases]
-    weights = [
-        np.where(c.labels, c.share / c.labels.sum(), (1 - c.share) / (~c.labels).sum())
-        for c in cases
-    ]
-    labels = np.concatenate([case.labels for case in cases])
-    share = float(np.mean([case.share for case in cases]))
+    share = float(balanced([case.edit for case in cases]) @ [case.share for case in cases])
+    without = frozenset({heldout} - {None})
     model = Model(
-        networks=tuple(own.values()),
+        networks=networks[without],
         names=cases[0].names,
-        calibration=logistic(np.concatenate(raw), labels, np.concatenate(weights)),
+        calibration=(1.0, 0.0),
         base=float(np.log(share / (1 - share))),
         scene=(1.0, 0.0),
     )
-    return Fold(heldout=heldout, networks=own, model=model)
+    others = {scene: networks[without | {scene}][0] for scene in {case.scene for case in cases}}
+    return Fold(heldout=heldout, model=model, others=others)
 
 
 def logistic(
@@ -255,45 +263,61 @@ def logistic(
     return float(factor), float(shift)
 
 
-def suspicions(scene: str, gaussians: Gaussians, folds: Sequence[Fold]) -> dict[str | None, float]:
-    """How suspicious the worst part of a whole scene is to those that did not see it, by fold."""
-    described = cues(gaussians)
-    return {
-        fold.heldout: worst_part(
-            opinions(described, fold.without(scene)), np.asarray(gaussians.means)
-        )
-        for fold in folds
-        if fold.heldout != scene
-    }
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Heard:
+    """What a network said of a whole scene that it was not trained on.
+
+    Attributes:
+        edit: Kind of the edit, or none.
+        raw: Settled raw log odds of some Gaussians, shape (M,).
+        labels: Which of them are tampered, shape (M,) bool.
+        worst: Mean raw log odds of the most suspicious part of the scene.
+    """
+
+    edit: Edit | None
+    raw: np.ndarray
+    labels: np.ndarray
+    worst: float
 
 
-def scene_lines(args: Args, scenes: Sequence[str], folds: Sequence[Fold]) -> list[Fold]:
-    """The folds with what they need to call a whole scene tampered with."""
-    kinds: tuple[Edit | None, ...] = (*EDITS, None)
-    jobs: list[tuple[str, Edit | None, int]] = [
-        (scene, edit, seed)
-        for scene in scenes
-        for edit in kinds
-        for seed in range(FIRST_SEED, FIRST_SEED + WHOLE)
-    ]
-    told: list[tuple[bool, dict[str | None, float]]] = []
-    for scene, edit, seed in tqdm(jobs, desc="whole scenes", disable=None):
-        if edit:
-            gaussians = edit_scene(scene, edit, seed, args.data).gaussians
-        else:
-            gaussians = load_scene(scene, args.data).gaussians
-        told.append((bool(edit), suspicions(scene, saved(gaussians, seed), folds)))
-    return [with_line(fold, told) for fold in folds]
+def hear(
+    scene: str, edit: Edit | None, seed: int, args: Args, folds: Sequence[Fold]
+) -> dict[str | None, Heard]:
+    """What those that did not see a whole scene say of it, by fold."""
+    gaussians = load_scene(scene, args.data).gaussians
+    labels, some = np.zeros(len(gaussians), bool), np.random.default_rng(seed)
+    if edit:
+        edited = edit_scene(scene, edit, seed, args.data)
+        gaussians, labels = edited.gaussians, edited.labels
+    described = cues(saved(gaussians, seed))
+    rows = some.permutation(len(labels))[:SAMPLE]
+    heard = {}
+    for fold in folds:
+        if fold.heldout != scene:
+            model = dataclasses.replace(fold.model, networks=(fold.others[scene],))
+            raw = settled(judged(described, model), described)
+            worst = worst_part(raw, np.asarray(gaussians.means))
+            heard[fold.heldout] = Heard(edit=edit, raw=raw[rows], labels=labels[rows], worst=worst)
+    return heard
 
 
-def with_line(fold: Fold, told: Sequence[tuple[bool, Mapping[str | None, float]]]) -> Fold:
-    """The fold whose model was fitted to what it said of whole scenes."""
-    mine = [(edited, worst[fold.heldout]) for edited, worst in told if fold.heldout in worst]
-    labels, values = np.array([e for e, _ in mine]), np.array([v for _, v in mine])
+def calibrated(fold: Fold, heard: Sequence[Heard]) -> Fold:
+    """The fold with what makes log odds of a Gaussian, and those of a scene, of what it says."""
+    edited = [one for one in heard if one.edit]
+    weights = balanced([str(one.edit) for one in edited])
+    line = logistic(
+        np.concatenate([one.raw for one in edited]),
+        np.concatenate([one.labels for one in edited]),
+        np.repeat(weights, [len(one.raw) for one in edited]),
+    )
+    model = dataclasses.replace(fold.model, calibration=line)
+    lines = [calibration_in(one.raw, model) for one in heard]
+    worst = [line[0] * one.worst + line[1] for line, one in zip(lines, heard, strict=True)]
+    labels = np.array([one.edit is not None for one in heard])
     # Half of the scenes that are looked at are taken to be edited.
     weights = np.where(labels, 1 / labels.sum(), 1 / (~labels).sum())
-    line = logistic(values, labels, weights, damping=1e-2)
-    return dataclasses.replace(fold, model=dataclasses.replace(fold.model, scene=line))
+    scene = logistic(np.array(worst), labels, weights, damping=1e-2)
+    return dataclasses.replace(fold, model=dataclasses.replace(model, scene=scene))
 
 
 def save(path: Path, model: Model) -> None:
@@ -312,12 +336,19 @@ def main(args: Args) -> None:
             f"{args.data}: holds no scenes, and with {len(scenes)} there is none to train on when "
             "two are left out; get the real ones, or use the model that comes with the package"
         )
-    jobs = list(itertools.product(scenes, EDITS, range(FIRST_SEED, FIRST_SEED + args.seeds)))
+    jobs = [
+        (scene, edit, FIRST_SEED + k)
+        for scene, edit in itertools.product(scenes, EDITS)
+        for k in range(max(1, round(args.share * SEEDS[edit])))
+    ]
     cases = [examples(*job, args.data, args.keep) for job in tqdm(jobs, desc="cases", disable=None)]
     networks = networks_of(cases, scenes)
     folds = [fold_of(heldout, cases, networks) for heldout in (None, *scenes)]
-    for fold in scene_lines(args, scenes, folds):
-        save(args.keep / f"without-{fold.heldout}.npz" if fold.heldout else args.out, fold.model)
+    whole = list(itertools.product(scenes, (*EDITS, None), range(FIRST_SEED, FIRST_SEED + WHOLE)))
+    told = [hear(*job, args, folds) for job in tqdm(whole, desc="whole scenes", disable=None)]
+    for fold in folds:
+        model = calibrated(fold, [by[fold.heldout] for by in told if fold.heldout in by]).model
+        save(args.keep / f"without-{fold.heldout}.npz" if fold.heldout else args.out, model)
 
 
 if __name__ == "__main__":

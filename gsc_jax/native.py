@@ -1,61 +1,38 @@
 """Evidence without a 2D detector: how likely each Gaussian is tampered, by the Gaussians alone.
 
-A small network, trained on edits of other scenes (experiments/train_cues.py), reads the cues of
-each Gaussian; exact traces, which need no learning, are added to it. Both together are the prior of
-the robust estimator, or all there is where no masks are.
+To what a network suspects (`suspicion`) exact traces are added, which need no learning. Both
+together are the prior of the robust estimator, or all there is where no masks are.
 """
 
 import dataclasses
-import functools
 import math
-from collections.abc import Mapping, Sequence
-from importlib.resources import as_file, files
+from collections.abc import Sequence
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from gsc_jax.cues import NEIGHBOURS, Cues, cues
+from gsc_jax.cues import NEIGHBOURS, cues
 from gsc_jax.finding import Finding
-from gsc_jax.neighbourhoods import parts
 from gsc_jax.robust import Prior, RobustConfig, both
 from gsc_jax.scene import Gaussians, invalid_rows
+from gsc_jax.suspicion import Model, opinions, shipped_model, worst_part
 from gsc_jax.traces import NEIGHBOURS as ASKED
 from gsc_jax.traces import Trace, combined, traces
 
-MODEL = "cues.npz"
-BLOCK = 2**15
-"""Gaussians that the network reads at once."""
-SETTLED = 4
-"""How often an opinion is mixed half and half with those of the neighbours."""
 SURE = 12.0
 """Log odds beyond which nothing is told apart."""
 LEVEL = 0.3
-"""Chosen on seeds 10 and 11 by the F1 of what is labelled."""
-PART = 64
-"""Gaussians of the part of a scene whose mean log odds speak for the whole of it."""
-
-Layers = tuple[tuple[np.ndarray, np.ndarray], ...]
-"""Weights (inputs, outputs) and biases (outputs,) of each layer."""
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Model:
-    """What reads cues.
-
-    Attributes:
-        networks: The mean of their outputs are raw log odds.
-        names: Of the cues that they take, in their order.
-        calibration: Factor and shift that make log odds of the raw ones.
-        base: Log odds that a Gaussian of an edited scene is tampered, before looking.
-        scene: Factor and shift that make log odds of a scene of those of its most suspicious part.
-    """
-
-    networks: tuple[Layers, ...]
-    names: tuple[str, ...]
-    calibration: tuple[float, float]
-    base: float
-    scene: tuple[float, float]
+"""Of the way from the base rate to the worst part: what is labelled where little stands out."""
+GAP = 0.05, 0.5
+"""Of that way, too: where the gap is looked for between an edit that surely is one and the rest."""
+SURELY = 0.7
+"""Verdict of the network from which on one is."""
+NAMED = 0.1
+"""Share of what stands out that exact traces name where they are taken to name the edit."""
+BESIDE = 1.0
+"""Log odds asked of the rest where they do; all five were chosen on seeds 10 and 11, by F1."""
+MARGIN, FEW = 0.1, 20
+"""Of the gap: half of its width, of the way, and a number of Gaussians that does not matter."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -158,9 +135,7 @@ def find_native(native: Native, config: RobustConfig, against: float = 0.0) -> F
     """What is tampered where no view flags anything, or there is none.
 
     That the calibrated probabilities are mostly small says how often scenes like this one are
-    misjudged. Given that something was edited, it is what stands out here: Gaussians are labelled
-    that are more suspicious than a share `LEVEL` of the way from the base rate to the worst part.
-    Where an exact trace says what was edited, more than even odds are asked of the rest.
+    misjudged. Given that something was edited, it is what stands out here (`level_of`).
 
     Args:
         native: What the Gaussians say, N of them.
@@ -171,9 +146,7 @@ def find_native(native: Native, config: RobustConfig, against: float = 0.0) -> F
         The finding; its attribute is the log odds, counted from that level.
     """
     certain = both(native.verdict, -against)
-    level = native.base + LEVEL * max(native.worst - native.base, 0.0)
-    if any(trace.found for trace in native.traces):
-        level = max(level, 0.0)
+    level = level_of(native)
     attribute = np.where(native.known, native.log_odds - level, 0).astype(np.float32)
     tamper = np.where(native.known, jax.nn.sigmoid(attribute), 0).astype(np.float32)
     labels = (tamper > config.threshold) & (certain >= config.doubt)
@@ -185,6 +158,48 @@ def find_native(native: Native, config: RobustConfig, against: float = 0.0) -> F
         verdict=certain,
         warnings=_doubts(native, labels, certain),
     )
+
+
+def level_of(native: Native) -> float:
+    """Log odds above which Gaussians are labelled.
+
+    Where the network by itself is not sure of an edit, a share `LEVEL` of the way from the base
+    rate to the most suspicious part; where it is, the gap between those two in which there are the
+    fewest Gaussians. Where exact traces name much of what stands out, they name the edit, and
+    `BESIDE` is asked of the rest.
+    """
+    way = max(native.worst - native.base, 0.0)
+    level = native.base + LEVEL * way
+    sure = native.learned_verdict > SURELY
+    standing = gap(native.learned, native.base, way) if sure else level
+    if any(trace.found for trace in native.traces):
+        suspicious = native.learned > standing
+        named = suspicious & (native.log_odds > native.learned + 1)
+        if not sure or named.sum() > NAMED * suspicious.sum():
+            return max(level, BESIDE)
+    return standing
+
+
+def gap(log_odds: np.ndarray, base: float, way: float) -> float:
+    """Level at which the number of Gaussians above depends least on it, in relative terms.
+
+    As in maximally stable extremal regions (Matas et al., 2002), of the whole scene at once.
+
+    Args:
+        log_odds: Of N Gaussians, shape (N,).
+        base: From where the level is counted.
+        way: Length of the range of levels.
+
+    Returns:
+        The level, within `GAP` of that range.
+    """
+    levels, ordered = base + way * np.linspace(*GAP, 46), np.sort(log_odds)
+
+    def above(levels: np.ndarray) -> np.ndarray:
+        return np.log(len(ordered) - np.searchsorted(ordered, levels) + FEW)
+
+    lost = above(levels - MARGIN * way) - above(levels + MARGIN * way)
+    return float(levels[np.argmin(lost)])
 
 
 def _doubts(native: Native, labels: np.ndarray, certain: float) -> list[str]:
@@ -201,62 +216,6 @@ def _doubts(native: Native, labels: np.ndarray, certain: float) -> list[str]:
     return []
 
 
-def opinions(described: Cues, model: Model) -> np.ndarray:
-    """Log odds of each Gaussian, of one mind with its neighbours, shape (N,) float32.
-
-    Most of a scene is authentic: where most of it seems tampered, it is unlike all that was
-    trained on, and only what is more suspicious than the rest says anything.
-    """
-    log_odds = settled(judged(described, model), described)
-    return log_odds - max(float(np.median(log_odds)) - model.base, 0.0)
-
-
-def judged(described: Cues, model: Model) -> np.ndarray:
-    """Calibrated log odds of each Gaussian by itself, shape (N,) float32."""
-    columns = [described.names.index(name) for name in model.names]
-    factor, shift = model.calibration
-    raw = raw_odds(described.values, model.networks, columns)
-    return np.clip(factor * raw + shift, -SURE, SURE)
-
-
-def raw_odds(
-    values: np.ndarray, networks: tuple[Layers, ...], columns: Sequence[int] | slice = slice(None)
-) -> np.ndarray:
-    """Raw log odds (N,) of columns of cues (N, F), whatever N by one compiled function."""
-    raw = np.empty(len(values), np.float32)
-    for start in range(0, len(values), BLOCK):
-        block = values[start : start + BLOCK, columns]
-        padded = np.pad(block, ((0, BLOCK - len(block)), (0, 0)))
-        raw[start : start + BLOCK] = opinion(networks, padded)[: len(block)]
-    return raw
-
-
-@jax.jit
-def opinion(networks: tuple[Layers, ...], values: jax.Array) -> jax.Array:
-    """Raw log odds (N,) of cues (N, F): the mean over some networks."""
-    return jnp.mean(jnp.stack([network(layers, values) for layers in networks]), axis=0)
-
-
-def network(layers: Layers, values: jax.Array) -> jax.Array:
-    """Raw log odds (N,) of cues (N, F): a perceptron with GELU between the layers."""
-    for weights, bias in layers[:-1]:
-        values = jax.nn.gelu(values @ weights + bias[None])
-    weights, bias = layers[-1]
-    return (values @ weights + bias[None])[:, 0]
-
-
-def settled(log_odds: np.ndarray, described: Cues) -> np.ndarray:
-    """Opinions after each was mixed with those of the neighbours: edits are compact."""
-    for _ in range(SETTLED):
-        log_odds = 0.5 * (log_odds + described.around.mean @ log_odds)
-    return log_odds
-
-
-def worst_part(log_odds: np.ndarray, means: np.ndarray) -> float:
-    """Mean log odds of the part of a scene where they are highest."""
-    return max(float(log_odds[rows].mean()) for rows in parts(means, PART))
-
-
 def with_traces(log_odds: np.ndarray, found: Sequence[Trace]) -> np.ndarray:
     """Log odds of the noisy-or of both: either alone is enough."""
     if not found:
@@ -264,41 +223,3 @@ def with_traces(log_odds: np.ndarray, found: Sequence[Trace]) -> np.ndarray:
     score = np.minimum(combined(found), 1 - 1e-6)
     with np.errstate(divide="ignore"):  # a score of 0 leaves the log odds as they are
         return np.minimum(np.logaddexp(log_odds, np.log(score)) - np.log1p(-score), SURE)
-
-
-@functools.cache
-def shipped_model() -> Model:
-    """The model that comes with the package; experiments/train_cues.py makes it."""
-    with as_file(files("gsc_jax") / MODEL) as path, np.load(path) as stored:
-        return from_arrays(stored)
-
-
-def from_arrays(stored: Mapping[str, np.ndarray]) -> Model:
-    """A model of the arrays that `as_arrays` made of it."""
-    count, depth = stored["shape"]
-    networks = tuple(
-        tuple((stored[f"weights{i}.{k}"], stored[f"bias{i}.{k}"]) for k in range(depth))
-        for i in range(count)
-    )
-    return Model(
-        networks=networks,
-        names=tuple(map(str, stored["names"])),
-        calibration=(float(stored["calibration"][0]), float(stored["calibration"][1])),
-        base=float(stored["base"]),
-        scene=(float(stored["scene"][0]), float(stored["scene"][1])),
-    )
-
-
-def as_arrays(model: Model) -> dict[str, np.ndarray]:
-    """The arrays of a model, to be stored."""
-    arrays = {"shape": np.array([len(model.networks), len(model.networks[0])])}
-    for i, layers in enumerate(model.networks):
-        for k, (weights, bias) in enumerate(layers):
-            arrays |= {f"weights{i}.{k}": weights, f"bias{i}.{k}": bias}
-    return {
-        **arrays,
-        "names": np.array(model.names),
-        "calibration": np.array(model.calibration),
-        "base": np.array(model.base),
-        "scene": np.array(model.scene),
-    }

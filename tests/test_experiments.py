@@ -182,19 +182,41 @@ def test_networks_learn_from_other_scenes_and_models_survive_a_file(tmp_path, mo
     )
     with jax.numpy_dtype_promotion("standard"):  # optax adds floats and counts of steps
         networks = train.networks_of(cases, scenes)
-    assert len(seen) == len(networks) == 6
-    for without, own in zip(networks, seen, strict=True):
-        assert not without & set(own)
+    assert len(networks) == 7
+    assert len(seen) == 4 * train.MEMBERS + 3
+    assert [len(own) for own in networks.values()] == 4 * [train.MEMBERS] + 3 * [1]
+    in_order = [without for without, own in networks.items() for _ in own]
+    for without, own in zip(in_order, seen, strict=True):
+        assert set(own) == set(scenes) - without
     fold = train.fold_of("a", cases, networks)
-    assert set(fold.networks) == {"b", "c"}
+    assert fold.model.networks == networks[frozenset({"a"})]
+    assert fold.others == {s: networks[frozenset({"a", s})][0] for s in ("b", "c")}
+    rng = np.random.default_rng(0)
+    heard = [_heard(train, edit, rng) for edit in ("removal", "removal", "modification", None)]
+    fold = train.calibrated(fold, heard)
+    factor, shift = fold.model.calibration
+    assert (factor, shift) == pytest.approx((2, -1), abs=0.15), "as the labels were drawn"
+    assert fold.model.scene[0] > 0, "the worst part of edited scenes is worse"
     train.save(tmp_path / "model.npz", fold.model)
     with np.load(tmp_path / "model.npz") as stored:
-        again = module("gsc_jax.native").from_arrays(stored)
+        again = module("gsc_jax.suspicion").from_arrays(stored)
     assert again.names == fold.model.names
     assert again.calibration == pytest.approx(fold.model.calibration)
     values = cases[0].values.astype(np.float32)
-    odds = np.asarray(train.network(fold.networks["b"], values))
+    odds = np.asarray(module("gsc_jax.suspicion").network(fold.others["b"], values))
     assert odds[cases[0].labels].mean() > odds[~cases[0].labels].mean() + 0.5
+
+
+def test_each_kind_of_edit_weighs_alike():
+    weights = module("train_cues").balanced(["a", "b", "b", "b"])
+    np.testing.assert_allclose(weights, [1 / 2, 1 / 6, 1 / 6, 1 / 6])
+
+
+def _heard(train, edit: str | None, rng: np.random.Generator):
+    """A scene in which the log odds of a Gaussian are twice the raw ones, less 1."""
+    raw = rng.normal(-1, 1.5, 20_000)
+    labels = rng.random(20_000) < 1 / (1 + np.exp(1 - 2 * raw)) if edit else np.zeros(20_000, bool)
+    return train.Heard(edit=edit, raw=raw, labels=labels, worst=6.0 if edit else 1.0)
 
 
 def _examples(train, scene: str, seed: int):
@@ -204,6 +226,7 @@ def _examples(train, scene: str, seed: int):
     values[:, 0] += 2 * labels
     return train.Examples(
         scene=scene,
+        edit=("removal", "modification")[seed % 2],
         scenes=frozenset({scene}),
         values=values.astype(np.float16),
         labels=labels,

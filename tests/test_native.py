@@ -5,6 +5,8 @@ import dataclasses
 import jax
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from gsc_jax import locate
 from gsc_jax.benchmark.export import exported
@@ -14,17 +16,18 @@ from gsc_jax.cues import cues
 from gsc_jax.errors import InputError
 from gsc_jax.method import METHODS
 from gsc_jax.native import (
-    SURE,
+    BESIDE,
+    GAP,
+    LEVEL,
+    SURELY,
     Native,
-    as_arrays,
     find_native,
-    from_arrays,
-    judged,
+    gap,
     native_evidence,
-    settled,
-    shipped_model,
+    with_traces,
 )
 from gsc_jax.robust import RobustConfig
+from gsc_jax.suspicion import RAW, as_arrays, from_arrays, judged, settled, shipped_model
 from gsc_jax.traces import Trace
 
 MADE = tampered_room(count=6_000, views=2, heldout=1, width=64, height=48, seed=12)
@@ -93,29 +96,75 @@ def test_a_scene_like_none_that_was_trained_on_is_not_all_suspicious():
 
 
 def test_odds_are_bounded():
-    assert np.abs(judged(cues(SAVED), shipped_model())).max() <= SURE
+    assert np.abs(judged(cues(SAVED), shipped_model())).max() <= RAW
 
 
-def test_a_trace_alone_is_enough():
-    score = np.zeros(4, np.float32)
-    score[0] = 1.0
-    trace = Trace(name="copied", score=score, explanation="one")
-    native = Native(
-        known=np.ones(4, bool),
-        learned=np.zeros(4, np.float32),
-        learned_verdict=0.5,
-        log_odds=np.array([3.0, -3.0, 1.0, -9.0], np.float32),
+def asked(learned, *, verdict: float = 0.9, traced: tuple[int, ...] = ()) -> Native:
+    """What Gaussians say whose worst part has log odds of 7, if traces name some of them."""
+    learned = np.asarray(learned, np.float32)
+    score = np.zeros(len(learned), np.float32)
+    score[list(traced)] = 0.999
+    traces = (Trace(name="copied", score=score, explanation="some"),) if traced else ()
+    return Native(
+        known=np.ones(len(learned), bool),
+        learned=learned,
+        learned_verdict=verdict,
+        log_odds=with_traces(learned, traces),
         base=-3.0,
         worst=7.0,
-        verdict=0.9,
-        traces=(trace,),
+        verdict=0.999 if traced else verdict,
+        traces=traces,
     )
+
+
+def test_a_trace_alone_is_enough_and_more_than_even_odds_are_asked_of_the_rest():
+    native = asked([-3, -3, BESIDE + 0.1, BESIDE - 0.1], verdict=0.3, traced=(0,))
     found = find_native(native, RobustConfig())
-    # The level is three tenths of the way from -3 to 7.
     assert found.labels.tolist() == [True, False, True, False]
-    np.testing.assert_allclose(found.attribute, [3, -3, 1, -9], atol=1e-5)
-    assert native.prior.scene == pytest.approx(np.log(9))
+    np.testing.assert_allclose(found.attribute, native.log_odds - BESIDE, atol=1e-5)
+    assert native.prior.scene == pytest.approx(np.log(999), rel=1e-2)
     assert not native.without_traces.traces
+
+
+def test_where_an_edit_is_not_sure_only_what_stands_out_is_labelled():
+    low, high = (-3 + 10 * (LEVEL + off) for off in (-0.02, 0.02))
+    found = find_native(asked([low, high, 7, -3], verdict=SURELY - 0.1), RobustConfig())
+    assert found.labels.tolist() == [False, True, True, False]
+
+
+def split(seed: int, edited: int) -> np.ndarray:
+    """Log odds of 20,000 Gaussians, the last of which stand apart from the others."""
+    rng = np.random.default_rng(seed)
+    return np.append(rng.normal(-4, 0.6, 20_000 - edited), rng.normal(1.5, 1, edited))
+
+
+@pytest.mark.parametrize("edited", [400, 5_000])
+def test_where_an_edit_is_sure_what_stands_apart_is_labelled(edited: int):
+    labels = find_native(asked(split(0, edited)), RobustConfig()).labels
+    assert labels[-edited:].mean() > 0.97
+    assert labels[:-edited].mean() < 0.01
+    shy = find_native(asked(split(0, edited), verdict=SURELY - 0.1), RobustConfig()).labels
+    assert shy[-edited:].mean() < 0.95
+
+
+def test_traces_that_name_little_of_what_stands_apart_do_not_name_the_edit():
+    log_odds = split(1, 2_000)
+    few = find_native(asked(log_odds, traced=(0, -1)), RobustConfig()).labels
+    assert few[0]
+    assert few[-2_000:].mean() > 0.99
+    most = find_native(asked(log_odds, traced=tuple(range(-1_500, 0))), RobustConfig()).labels
+    assert most[-1_500:].all()
+    assert most[-2_000:-1_500].mean() < 0.9
+
+
+@given(st.integers(0, 99), st.integers(50, 5_000), st.floats(-5, 5), st.floats(0.2, 5))
+@settings(max_examples=20, deadline=None)
+def test_the_gap_moves_with_the_log_odds(seed: int, edited: int, shift: float, factor: float):
+    log_odds = split(seed, edited)
+    level = gap(log_odds, -3, 10)
+    assert -3 + 10 * GAP[0] <= level <= -3 + 10 * GAP[1] + 1e-9
+    moved = gap(factor * log_odds + shift, factor * -3 + shift, factor * 10)
+    assert moved == pytest.approx(factor * level + shift, abs=factor * 10 * 0.02)
 
 
 def test_nothing_is_labelled_where_next_to_nothing_speaks_for_an_edit():

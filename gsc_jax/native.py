@@ -25,7 +25,7 @@ LEVEL = 0.3
 """Of the way from the base rate to the worst part: what is labelled where little stands out."""
 GAP = 0.05, 0.5
 """Of that way, too: where the gap is looked for between an edit that surely is one and the rest."""
-SURELY = 0.7
+SURELY = 0.65
 """Verdict of the network from which on one is."""
 NAMED = 0.1
 """Share of what stands out that exact traces name where they are taken to name the edit."""

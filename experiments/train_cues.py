@@ -122,18 +122,21 @@ def read_examples(path: Path) -> Examples:
     """What `examples` described before; the file is named after scene, edit and seed."""
     scene, edit, seed = path.stem.split("-")
     with np.load(path) as stored:
-        names = tuple(map(str, stored["names"]))
-        values, labels = stored["values"], stored["labels"]
-        pasted = donor_name(scene, int(seed)) if edit == "incorporation" else ""
         return Examples(
             scene=scene,
             edit=edit,
-            scenes=frozenset({scene, pasted.removeprefix(CUT)}),
-            values=values,
-            labels=labels,
+            scenes=scenes_in(scene, edit, int(seed)),
+            values=stored["values"],
+            labels=stored["labels"],
             share=float(stored["share"]),
-            names=names,
+            names=tuple(map(str, stored["names"])),
         )
+
+
+def scenes_in(scene: str, edit: str | None, seed: int) -> frozenset[str]:
+    """The scene of a case, and the one that a pasted object was cut from."""
+    pasted = donor_name(scene, seed) if edit == "incorporation" else ""
+    return frozenset({scene, pasted.removeprefix(CUT)})
 
 
 def trained(cases: Sequence[Examples], seed: int) -> Layers:
@@ -236,7 +239,7 @@ def fold_of(
     """The networks that did not see a scene; what they say is not calibrated yet."""
     cases = [case for case in cases if heldout not in case.scenes]
     share = float(balanced([case.edit for case in cases]) @ [case.share for case in cases])
-    without = frozenset({heldout} - {None})
+    without = frozenset([heldout] if heldout else [])
     model = Model(
         networks=networks[without],
         names=cases[0].names,
@@ -283,7 +286,7 @@ class Heard:
 def hear(
     scene: str, edit: Edit | None, seed: int, args: Args, folds: Sequence[Fold]
 ) -> dict[str | None, Heard]:
-    """What those that did not see a whole scene say of it, by fold."""
+    """What those that did not see a whole scene say of it, by fold but those of what is in it."""
     gaussians = load_scene(scene, args.data).gaussians
     labels, some = np.zeros(len(gaussians), bool), np.random.default_rng(seed)
     if edit:
@@ -291,9 +294,9 @@ def hear(
         gaussians, labels = edited.gaussians, edited.labels
     described = cues(saved(gaussians, seed))
     rows = some.permutation(len(labels))[:SAMPLE]
-    heard = {}
+    heard, there = {}, scenes_in(scene, edit, seed)
     for fold in folds:
-        if fold.heldout != scene:
+        if fold.heldout not in there:
             model = dataclasses.replace(fold.model, networks=(fold.others[scene],))
             raw = settled(judged(described, model), described)
             worst = worst_part(raw, np.asarray(gaussians.means))
@@ -336,7 +339,7 @@ def main(args: Args) -> None:
             f"{args.data}: holds no scenes, and with {len(scenes)} there is none to train on when "
             "two are left out; get the real ones, or use the model that comes with the package"
         )
-    jobs = [
+    jobs: list[tuple[str, Edit, int]] = [
         (scene, edit, FIRST_SEED + k)
         for scene, edit in itertools.product(scenes, EDITS)
         for k in range(max(1, round(args.share * SEEDS[edit])))

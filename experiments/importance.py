@@ -17,7 +17,7 @@ from matplotlib import pyplot as plt
 from native import NativeArgs, model_without
 from runner import measured, start
 from tables import Row, pivot, values_of, where, write_section
-from train_cues import Examples, read_examples
+from train_cues import FIRST_SEED, Examples, read_examples
 
 from gsc_jax.benchmark.metrics import auc
 from gsc_jax.cues import select
@@ -25,6 +25,8 @@ from gsc_jax.errors import InputError
 from gsc_jax.suspicion import Model, raw_odds
 
 NOTHING = "nothing"
+SEEDS = range(FIRST_SEED, FIRST_SEED + 6)
+"""Of the cases that were described: as many of each kind of edit."""
 
 
 def rows_of(path: Path, keep: Path) -> Iterator[Row]:
@@ -49,8 +51,8 @@ def _auc(case: Examples, model: Model, group: str | None) -> float:
 
 
 def all_rows(args: NativeArgs) -> Iterator[Iterator[Row]]:
-    """Every case that was described."""
-    paths = sorted(p for p in args.keep.glob("*-*-*.npz") if not p.stem.startswith("without"))
+    """Every case of these seeds."""
+    paths = sorted(path for seed in SEEDS for path in args.keep.glob(f"*-*-{seed}.npz"))
     if not paths:
         raise InputError(
             f"{args.keep}: holds no cases; run experiments/train_cues.py --keep {args.keep} first"

@@ -2,10 +2,11 @@
 
     python experiments/train_cues.py [--keep .cues] [--out gsc_jax/cues.npz]
 
-Edits of all scenes with seeds that no table uses, exported so that host and object have the same
-digits. The model that comes with the package learned from all scenes; for every scene there is one
-that learned from the others, by which the tables judge it. A model is calibrated by networks that
-left out one scene more: by what they say of that one.
+Edits of all scenes with other seeds than those of the tables, exported so that host and object have
+the same digits. The model that comes with the package learned from all scenes; for every scene
+there is one that learned from the others, by which the tables judge it. A model is the mean of a
+few networks. It is calibrated by what one that left out a scene more says of that scene, which
+stands in for the mean and is a little less sure than it.
 """
 
 import dataclasses
@@ -55,8 +56,8 @@ HIDDEN = (64, 32)
 STEPS, BATCH = 1000, 2048
 RATE, DECAY, DROPOUT, NOISE = 2e-3, 1e-2, 0.2, 0.3
 
-
 Networks = tuple[Layers, ...]
+"""The mean of their outputs counts."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -136,7 +137,7 @@ def read_examples(path: Path) -> Examples:
 def scenes_in(scene: str, edit: str | None, seed: int) -> frozenset[str]:
     """The scene of a case, and the one that a pasted object was cut from."""
     pasted = donor_name(scene, seed) if edit == "incorporation" else ""
-    return frozenset({scene, pasted.removeprefix(CUT)})
+    return frozenset({scene, pasted.removeprefix(CUT)} if pasted.startswith(CUT) else {scene})
 
 
 def trained(cases: Sequence[Examples], seed: int) -> Layers:
@@ -286,17 +287,17 @@ class Heard:
 def hear(
     scene: str, edit: Edit | None, seed: int, args: Args, folds: Sequence[Fold]
 ) -> dict[str | None, Heard]:
-    """What those that did not see a whole scene say of it, by fold but those of what is in it."""
+    """What networks that did not see a whole scene say of it, by the scene their fold holds out."""
     gaussians = load_scene(scene, args.data).gaussians
-    labels, some = np.zeros(len(gaussians), bool), np.random.default_rng(seed)
+    labels, rng = np.zeros(len(gaussians), bool), np.random.default_rng(seed)
     if edit:
         edited = edit_scene(scene, edit, seed, args.data)
         gaussians, labels = edited.gaussians, edited.labels
     described = cues(saved(gaussians, seed))
-    rows = some.permutation(len(labels))[:SAMPLE]
-    heard, there = {}, scenes_in(scene, edit, seed)
+    rows = rng.permutation(len(labels))[:SAMPLE]
+    heard, seen = {}, scenes_in(scene, edit, seed)
     for fold in folds:
-        if fold.heldout not in there:
+        if fold.heldout not in seen:
             model = dataclasses.replace(fold.model, networks=(fold.others[scene],))
             raw = settled(judged(described, model), described)
             worst = worst_part(raw, np.asarray(gaussians.means))
@@ -311,11 +312,13 @@ def calibrated(fold: Fold, heard: Sequence[Heard]) -> Fold:
     line = logistic(
         np.concatenate([one.raw for one in edited]),
         np.concatenate([one.labels for one in edited]),
-        np.repeat(weights, [len(one.raw) for one in edited]),
+        np.concatenate(
+            [np.full(len(o.raw), w / len(o.raw)) for o, w in zip(edited, weights, strict=True)]
+        ),
     )
     model = dataclasses.replace(fold.model, calibration=line)
     lines = [calibration_in(one.raw, model) for one in heard]
-    worst = [line[0] * one.worst + line[1] for line, one in zip(lines, heard, strict=True)]
+    worst = [factor * o.worst + shift for (factor, shift), o in zip(lines, heard, strict=True)]
     labels = np.array([one.edit is not None for one in heard])
     # Half of the scenes that are looked at are taken to be edited.
     weights = np.where(labels, 1 / labels.sum(), 1 / (~labels).sum())

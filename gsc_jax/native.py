@@ -15,12 +15,10 @@ from gsc_jax.cues import NEIGHBOURS, cues
 from gsc_jax.finding import Finding
 from gsc_jax.robust import Prior, RobustConfig, both
 from gsc_jax.scene import Gaussians, invalid_rows
-from gsc_jax.suspicion import Model, opinions, shipped_model, worst_part
+from gsc_jax.suspicion import SURE, Model, opinions, shipped_model, worst_part
 from gsc_jax.traces import NEIGHBOURS as ASKED
 from gsc_jax.traces import Trace, combined, traces
 
-SURE = 12.0
-"""Log odds beyond which nothing is told apart."""
 LEVEL = 0.3
 """Of the way from the base rate to the worst part: what is labelled where little stands out."""
 GAP = 0.05, 0.5
@@ -28,7 +26,7 @@ GAP = 0.05, 0.5
 SURELY = 0.65
 """Verdict of the network from which on one is."""
 NAMED = 0.1
-"""Share of what stands out that exact traces name where they are taken to name the edit."""
+"""Share of what stands apart that exact traces name where they are taken to name the edit."""
 BESIDE = 1.0
 """Log odds asked of the rest where they do; all five were chosen on seeds 10 and 11, by F1."""
 MARGIN, FEW = 0.1, 20
@@ -103,7 +101,9 @@ def native_evidence(
     sound = np.flatnonzero(known)
     learned = np.full(len(host), model.base, np.float32)
     worst, neighbours = model.base, None
-    if len(sound) > NEIGHBOURS:
+    if len(sound) <= NEIGHBOURS:  # too few to have surroundings
+        known[sound] = False
+    else:
         usable = host.take(sound)
         learned[sound], nearest = _learned(usable, model)
         neighbours = np.tile(np.arange(len(host))[:, None], (1, ASKED))
@@ -164,20 +164,20 @@ def level_of(native: Native) -> float:
     """Log odds above which Gaussians are labelled.
 
     Where the network by itself is not sure of an edit, a share `LEVEL` of the way from the base
-    rate to the most suspicious part; where it is, the gap between those two in which there are the
-    fewest Gaussians. Where exact traces name much of what stands out, they name the edit, and
+    rate to the most suspicious part; where it is, the `gap` on that way. Exact traces name the
+    edit where the network is not sure of one or they name some of what stands apart: then at least
     `BESIDE` is asked of the rest.
     """
     way = max(native.worst - native.base, 0.0)
     level = native.base + LEVEL * way
     sure = native.learned_verdict > SURELY
-    standing = gap(native.learned, native.base, way) if sure else level
+    apart = gap(native.learned[native.known], native.base, way) if sure else level
     if any(trace.found for trace in native.traces):
-        suspicious = native.learned > standing
-        named = suspicious & (native.log_odds > native.learned + 1)
+        suspicious = native.learned > apart
+        named = suspicious & (combined(native.traces) > 0.5)
         if not sure or named.sum() > NAMED * suspicious.sum():
             return max(level, BESIDE)
-    return standing
+    return apart
 
 
 def gap(log_odds: np.ndarray, base: float, way: float) -> float:

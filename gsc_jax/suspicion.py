@@ -2,7 +2,7 @@
 
 It was trained on edits of other scenes (experiments/train_cues.py) and sees one Gaussian at a time,
 with what its cues say of the surroundings; opinions are then shared among neighbours, since edits
-are compact, and calibrated on scenes that it did not see.
+are compact, and calibrated. A model is the mean of a few such networks.
 """
 
 import dataclasses
@@ -22,8 +22,8 @@ BLOCK = 2**15
 """Gaussians that the network reads at once."""
 SETTLED = 4
 """How often an opinion is mixed half and half with those of the neighbours."""
-RAW = 25.0
-"""Raw log odds beyond which nothing is told apart."""
+RAW, SURE = 25.0, 12.0
+"""Raw and calibrated log odds beyond which nothing is told apart."""
 PART = 64
 """Gaussians of the part of a scene whose mean log odds speak for the whole of it."""
 
@@ -54,7 +54,7 @@ def opinions(described: Cues, model: Model) -> np.ndarray:
     """Calibrated log odds of each Gaussian, of one mind with its neighbours, (N,) float32."""
     raw = settled(judged(described, model), described)
     factor, shift = calibration_in(raw, model)
-    return factor * raw + shift
+    return np.clip(factor * raw + shift, -SURE, SURE)
 
 
 def calibration_in(raw: np.ndarray, model: Model) -> tuple[float, float]:

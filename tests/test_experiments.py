@@ -189,8 +189,9 @@ def test_networks_learn_from_other_scenes_and_models_survive_a_file(tmp_path, mo
     for without, own in zip(in_order, seen, strict=True):
         assert set(own) == set(scenes) - without
     fold = train.fold_of("a", cases, networks)
-    assert fold.model.networks == networks[frozenset({"a"})]
-    assert fold.others == {s: networks[frozenset({"a", s})][0] for s in ("b", "c")}
+    assert fold.model.networks is networks[frozenset({"a"})]
+    assert set(fold.others) == {"b", "c"}
+    assert all(own is networks[frozenset({"a", s})][0] for s, own in fold.others.items())
     rng = np.random.default_rng(0)
     heard = [_heard(train, edit, rng) for edit in ("removal", "removal", "modification", None)]
     fold = train.calibrated(fold, heard)
@@ -205,6 +206,35 @@ def test_networks_learn_from_other_scenes_and_models_survive_a_file(tmp_path, mo
     values = cases[0].values.astype(np.float32)
     odds = np.asarray(module("gsc_jax.suspicion").network(fold.others["b"], values))
     assert odds[cases[0].labels].mean() > odds[~cases[0].labels].mean() + 0.5
+
+
+def test_what_was_cut_from_a_scene_belongs_to_it():
+    cases, train = module("cases"), module("train_cues")
+    pasted = {seed: cases.donor_name("kitchen", seed) for seed in range(8)}
+    cut = next(seed for seed, name in pasted.items() if name.startswith(cases.CUT))
+    scanned = next(seed for seed, name in pasted.items() if name in cases.OBJECTS)
+    source = pasted[cut].removeprefix(cases.CUT)
+    assert train.scenes_in("kitchen", "incorporation", cut) == {"kitchen", source}
+    assert train.scenes_in("kitchen", "incorporation", scanned) == {"kitchen"}
+    assert train.scenes_in("kitchen", "removal", cut) == {"kitchen"}
+
+
+def test_whole_scenes_calibrate_only_those_that_saw_no_part_of_them(monkeypatch):
+    train = module("train_cues")
+    case = module("cases").edit_scene("small room", "removal", 0)
+    monkeypatch.setattr(train, "scenes_in", lambda *_: frozenset({"a", "b"}))
+    monkeypatch.setattr(train, "load_scene", lambda *_: case)
+    monkeypatch.setattr(train, "edit_scene", lambda *_: case)
+    model = module("gsc_jax.suspicion").shipped_model()
+    folds = [
+        train.Fold(heldout=heldout, model=model, others={"a": model.networks[0]})
+        for heldout in (None, "a", "b", "c")
+    ]
+    heard = train.hear("a", "removal", 1, train.Args(), folds)
+    assert set(heard) == {None, "c"}
+    assert len(heard["c"].raw) == len(heard["c"].labels) <= train.SAMPLE
+    assert 0 < heard["c"].labels.mean() < 0.1
+    assert heard["c"].worst >= np.median(heard["c"].raw)
 
 
 def test_each_kind_of_edit_weighs_alike():

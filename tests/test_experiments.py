@@ -173,12 +173,13 @@ def test_networks_learn_from_other_scenes_and_models_survive_a_file(tmp_path, mo
     monkeypatch.setattr(train, "HIDDEN", (8,))
     scenes = ("a", "b", "c")
     cases = [_examples(train, scene, seed) for seed, scene in enumerate(scenes)]
+    cases.append(_examples(train, "c", 3, pasted_from="a"))
     seen = []
     trained = train.trained
     monkeypatch.setattr(
         train,
         "trained",
-        lambda own, seed: seen.append([c.scene for c in own]) or trained(own, seed),
+        lambda own, seed: seen.append([c.scenes for c in own]) or trained(own, seed),
     )
     with jax.numpy_dtype_promotion("standard"):  # optax adds floats and counts of steps
         networks = train.networks_of(cases, scenes)
@@ -187,7 +188,9 @@ def test_networks_learn_from_other_scenes_and_models_survive_a_file(tmp_path, mo
     assert [len(own) for own in networks.values()] == 4 * [train.MEMBERS] + 3 * [1]
     in_order = [without for without, own in networks.items() for _ in own]
     for without, own in zip(in_order, seen, strict=True):
-        assert set(own) == set(scenes) - without
+        assert set().union(*own) == set(scenes) - without
+        assert not any(within & without for within in own), "a part of it was seen"
+        assert len(own) == 3 - len(without) + (not without & {"a", "c"})
     fold = train.fold_of("a", cases, networks)
     assert fold.model.networks is networks[frozenset({"a"})]
     assert set(fold.others) == {"b", "c"}
@@ -249,7 +252,7 @@ def _heard(train, edit: str | None, rng: np.random.Generator):
     return train.Heard(edit=edit, raw=raw, labels=labels, worst=6.0 if edit else 1.0)
 
 
-def _examples(train, scene: str, seed: int):
+def _examples(train, scene: str, seed: int, *, pasted_from: str | None = None):
     rng = np.random.default_rng(seed)
     labels = rng.random(400) < 0.3
     values = rng.normal(size=(400, 3))
@@ -257,7 +260,7 @@ def _examples(train, scene: str, seed: int):
     return train.Examples(
         scene=scene,
         edit=("removal", "modification")[seed % 2],
-        scenes=frozenset({scene}),
+        scenes=frozenset({scene, pasted_from or scene}),
         values=values.astype(np.float16),
         labels=labels,
         share=0.1,

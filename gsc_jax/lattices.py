@@ -119,7 +119,10 @@ def _block(codes: np.ndarray, count: int, neighbours: np.ndarray) -> np.ndarray:
     gaps[:, 0] *= STRAY
     blocks = np.argmin(gaps, axis=1)
     shares = np.bincount(blocks[codes[codes >= 0]], minlength=len(seeds)) / len(codes)
-    foreign = (codes >= 0) & (shares <= TILE)[blocks[codes]]
+    odd = (shares <= TILE)[blocks]
+    # Values all of one block are not interleaved with others: extremes neighbour only each other.
+    odd &= ~np.logical_and.reduceat(odd, bins)[member]
+    foreign = (codes >= 0) & odd[codes]
     loyal = foreign[neighbours][foreign].mean() if foreign.any() else 0
     return foreign if loyal >= LOYAL and foreign.mean() <= TILE else none
 

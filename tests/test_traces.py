@@ -5,7 +5,7 @@ import dataclasses
 import jax
 import numpy as np
 import pytest
-from data import DATA, SCENES, needs_data
+from data import DATA, SCENES, load_tampered, needs_data
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import random_scene, with_row
@@ -151,6 +151,12 @@ def test_a_second_lattice_between_the_values_of_the_first():
     sh = np.array(host.sh)[part]
     sh[:, 0] += np.float32(0.37 / 16)
     _check(lattice(_changed(host, part, sh=sh)), labels, precision=0.99)
+
+
+@needs_data
+def test_bright_values_that_neighbour_only_each_other_are_no_lattice_of_their_own():
+    scene = load_tampered("kitchen-incorporate")  # a window is all that is so bright
+    _check(lattice(scene.gaussians), scene.labels, precision=0.99, recall=0.1)
 
 
 def test_half_of_a_scene_with_a_lattice_of_its_own_is_a_tile_of_the_export():

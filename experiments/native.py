@@ -10,7 +10,7 @@ digits, and as they are after host and object were exported alike in 8 bits; unt
 
 import dataclasses
 import functools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import charts
@@ -26,9 +26,10 @@ from gsc_jax.benchmark.export import exported
 from gsc_jax.benchmark.metrics import auc, false_positive_area
 from gsc_jax.benchmark.simulate import REGIMES, Failures
 from gsc_jax.errors import InputError
+from gsc_jax.fusion import Prior
 from gsc_jax.method import find
 from gsc_jax.native import Native, find_native, native_evidence
-from gsc_jax.robust import Prior, RobustConfig
+from gsc_jax.robust import RobustConfig
 from gsc_jax.suspicion import Model, from_arrays, shipped_model
 
 EXPORTS = ("as edited", "8 bits")
@@ -84,8 +85,8 @@ def rows_of(case: Case, mixture: Failures, keep: Path) -> Iterator[Row]:
             row |= {"donor": pasted, "ece": calibration_error(natives[name], case.labels)}
             edited = case.labels.any()
             yield row | (scores(seen, answer, predicted) if edited else _false(predicted))
-        if export == "8 bits":
-            yield from fused(seen, told, mixture)
+        failures = {**(REGIMES if export == "8 bits" else {}), "mixture": mixture}
+        yield from ({**row, "export": export} for row in fused(seen, told, failures))
 
 
 def calibration_error(native: Native, labels: np.ndarray) -> float:
@@ -96,7 +97,7 @@ def calibration_error(native: Native, labels: np.ndarray) -> float:
     return float(np.abs(apart).sum() / counts.sum())
 
 
-def fused(case: Case, native: Native, mixture: Failures) -> Iterator[Row]:
+def fused(case: Case, native: Native, failures: Mapping[str, Failures]) -> Iterator[Row]:
     """What masks of detectors that fail say: by baselines, by `robust`, and with the Gaussians."""
     config = RobustConfig(seed=case.seed)
     verdicts: dict[tuple[str, str], float] = {}
@@ -110,15 +111,13 @@ def fused(case: Case, native: Native, mixture: Failures) -> Iterator[Row]:
     methods = {name: ALL_METHODS[name] for name in BASELINES} | {
         name: functools.partial(method, name=name, prior=prior) for name, prior in priors.items()
     }
-    failures = {**REGIMES, "mixture": mixture}
     if not case.labels.any():
-        failures = {name: failures[name] for name in ALARMS}
+        failures = {name: failures[name] for name in ALARMS if name in failures}
     masks = detector_masks(case, failures)
     for row in judge(look(case, masks), methods):
         if row["method"] != TRUTH:
             said = verdicts.get((row["regime"], row["method"]), np.nan)
-            rest = {"traces": "", "donor": "", "ece": np.nan}
-            yield {**row, "export": "8 bits", "verdict": said, **rest}
+            yield {**row, "verdict": said, "traces": "", "donor": "", "ece": np.nan}
 
 
 def _exported(case: Case, export: str) -> Case:
@@ -128,7 +127,7 @@ def _exported(case: Case, export: str) -> Case:
 
 
 def _answer(native: Native) -> Answer:
-    found = find_native(native, RobustConfig())
+    found = find_native(native)
     return Answer(score=found.attribute, labels=found.labels)
 
 
@@ -156,6 +155,7 @@ def report(rows: Sequence[Row]) -> str:
     alone = where(edited, regime=NO_MASKS)
     named = [{**row, "evidence": f"{row['method']}, {row['export']}"} for row in alone]
     masked = [row for row in edited if row["regime"] != NO_MASKS]
+    saved, fresh = (where(masked, export=export) for export in reversed(EXPORTS))
     tables = functools.partial(pivot, named, "evidence", "edit", best=None)
     lifted = functools.partial(pivot, digits=3, reference=REFERENCE)
     return "\n\n".join(
@@ -198,11 +198,13 @@ def report(rows: Sequence[Row]) -> str:
             verdicts(rows),
             "**With the masks of a detector: F1 per held-out view**, all edits, 8 bits. The "
             "detector itself is judged on the views that it was shown",
-            lifted(masked, "method", "regime"),
+            lifted(saved, "method", "regime"),
             "**The same by kind of edit, mixture of failures**",
-            lifted(where(masked, regime="mixture"), "method", "edit"),
+            lifted(where(saved, regime="mixture"), "method", "edit"),
             "**The same: IoU**",
-            lifted(where(masked, regime="mixture"), "method", "edit", metric="iou"),
+            lifted(where(saved, regime="mixture"), "method", "edit", metric="iou"),
+            "**The same as edited, with exact traces where there are any: F1**",
+            lifted(fresh, "method", "edit"),
             "**Untouched scenes: percent of the pixels flagged**, held out but for the detector's",
             flagged([row for row in rows if row["edit"] == "none"]),
         ]

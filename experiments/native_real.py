@@ -34,16 +34,17 @@ class RealArgs(Args):
 
 def findings(scene: Scene, keep: Path) -> Iterator[tuple[str, Finding]]:
     """What is found in a scene, by what it was found from."""
-    model, config = model_without(scene.name.split("-")[0], keep), RobustConfig()
+    model = model_without(scene.name.split("-")[0], keep)
     saved = {EXPORTS[0]: scene.gaussians, EXPORTS[1]: exported(scene.gaussians)}
     asked = {export: native_evidence(own, model=model) for export, own in saved.items()}
     for export, told in asked.items():
         names = ", ".join(trace.name for trace in told.traces if trace.found) or "no trace"
-        yield f"Gaussians, no traces, {export}", find_native(told.without_traces, config)
-        yield f"Gaussians, {export} ({names})", find_native(told, config)
-    look = scene.gaussians, scene.cameras["looked at"], scene.observation, config
+        yield f"Gaussians, no traces, {export}", find_native(told.without_traces)
+        yield f"Gaussians, {export} ({names})", find_native(told)
+    look = scene.gaussians, scene.cameras["looked at"], scene.observation, RobustConfig()
     yield "masks", find(*look)
-    yield "masks + Gaussians, 8 bits", find(*look, asked["8 bits"].prior)
+    for export, told in asked.items():
+        yield f"masks + Gaussians, {export}", find(*look, told.prior)
 
 
 def scores(scene: Scene, finding: Finding, labels: np.ndarray) -> Mapping[str, str]:

@@ -11,6 +11,7 @@ from gsc_jax.io.ply import load_ply, read_ply, save_ply
 from gsc_jax.locate import Result, locate
 from gsc_jax.loop import LoopConfig
 from gsc_jax.method import METHODS, MethodConfig
+from gsc_jax.native import find_native, native_evidence
 from gsc_jax.robust import RobustConfig
 from gsc_jax.scene import Camera, Gaussians
 from gsc_jax.splat import accumulate_maps as accumulate
@@ -32,10 +33,12 @@ __all__ = [
     "Result",
     "RobustConfig",
     "accumulate",
+    "find_native",
     "load_cameras",
     "load_ply",
     "locate",
     "make_view",
+    "native_evidence",
     "orbit_cameras",
     "read_ply",
     "render",

@@ -15,8 +15,9 @@ import numpy as np
 from gsc_jax.detection import Detector
 from gsc_jax.evidence import Evidence, blank_evidence
 from gsc_jax.finding import Finding
+from gsc_jax.fusion import Prior
 from gsc_jax.observe import Observation, observe
-from gsc_jax.robust import Prior, RobustConfig, find_robust
+from gsc_jax.robust import RobustConfig, find_robust
 from gsc_jax.scene import Camera, Gaussians
 from gsc_jax.stages import Progress, Stages, silent
 

@@ -18,12 +18,13 @@ import numpy as np
 from gsc_jax.decide import MaskRule, normalise
 from gsc_jax.evidence import Evidence
 from gsc_jax.finding import DISAGREE, Finding, undisputed
+from gsc_jax.fusion import Prior
 from gsc_jax.loop import LoopConfig, fit, fit_rendered, resolved, view_order
 from gsc_jax.losses import official_attributes, paper_attributes, standardised_attributes
 from gsc_jax.observe import Observation
 from gsc_jax.parallel import WORKERS, ahead
 from gsc_jax.projection import NEAR
-from gsc_jax.robust import Prior, RobustConfig, find_robust
+from gsc_jax.robust import RobustConfig, find_robust
 from gsc_jax.scene import Array, Camera, Gaussians
 from gsc_jax.tiles import View, make_view
 from gsc_jax.vote import official_consensus, paper_consensus

@@ -5,7 +5,6 @@ together are the prior of the robust estimator, or all there is where no masks a
 """
 
 import dataclasses
-import math
 from collections.abc import Sequence
 
 import jax
@@ -13,7 +12,8 @@ import numpy as np
 
 from gsc_jax.cues import NEIGHBOURS, cues
 from gsc_jax.finding import Finding
-from gsc_jax.robust import Prior, RobustConfig, both
+from gsc_jax.fusion import Prior, both
+from gsc_jax.robust import RobustConfig
 from gsc_jax.scene import Gaussians, invalid_rows
 from gsc_jax.suspicion import SURE, Model, opinions, shipped_model, worst_part
 from gsc_jax.traces import NEIGHBOURS as ASKED
@@ -60,14 +60,8 @@ class Native:
 
     @property
     def prior(self) -> Prior:
-        """What this is to the robust estimator: edits need not show, so silence says nothing."""
-        certain = min(max(self.verdict, 0.5), 1 - 1e-6)
-        traced = any(trace.found for trace in self.traces)
-        return Prior(
-            log_odds=self.log_odds,
-            scene=math.log(certain / (1 - certain)),
-            exact=combined(self.traces) if traced else None,
-        )
+        """What this is to the robust estimator."""
+        return Prior(probability=_tamper(self), verdict=self.verdict)
 
     @property
     def without_traces(self) -> "Native":
@@ -131,7 +125,9 @@ def _learned(usable: Gaussians, model: Model) -> tuple[np.ndarray, np.ndarray]:
     return opinions(described, model), described.around.nearest[:, :ASKED].copy()
 
 
-def find_native(native: Native, config: RobustConfig, against: float = 0.0) -> Finding:
+def find_native(
+    native: Native, config: RobustConfig | None = None, *, against: float = 0.0
+) -> Finding:
     """What is tampered where no view flags anything, or there is none.
 
     That the calibrated probabilities are mostly small says how often scenes like this one are
@@ -139,25 +135,35 @@ def find_native(native: Native, config: RobustConfig, against: float = 0.0) -> F
 
     Args:
         native: What the Gaussians say, N of them.
-        config: Of the estimator, of which the threshold and the doubt matter here.
+        config: Of the estimator, of which the threshold and the doubt matter here; its defaults
+            if not given.
         against: Log odds by which views that flag nothing speak against any edit.
 
     Returns:
         The finding; its attribute is the log odds, counted from that level.
     """
+    config = config or RobustConfig()
     certain = both(native.verdict, -against)
-    level = level_of(native)
-    attribute = np.where(native.known, native.log_odds - level, 0).astype(np.float32)
-    tamper = np.where(native.known, jax.nn.sigmoid(attribute), 0).astype(np.float32)
+    tamper = _tamper(native)
     labels = (tamper > config.threshold) & (certain >= config.doubt)
     return Finding(
-        attribute=attribute,
+        attribute=_apart(native),
         tamper=tamper * (certain >= config.doubt),
         labels=labels,
         group_sizes=np.zeros((0, 3), np.int32),
         verdict=certain,
         warnings=_doubts(native, labels, certain),
     )
+
+
+def _apart(native: Native) -> np.ndarray:
+    """The log odds, counted from the level of what is labelled; 0 where nothing is known, (N,)."""
+    return np.where(native.known, native.log_odds - level_of(native), 0).astype(np.float32)
+
+
+def _tamper(native: Native) -> np.ndarray:
+    """How likely each Gaussian is tampered, given that something is, (N,)."""
+    return np.where(native.known, jax.nn.sigmoid(_apart(native)), 0).astype(np.float32)
 
 
 def level_of(native: Native) -> float:

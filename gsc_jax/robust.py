@@ -19,6 +19,7 @@ from gsc_jax.classes import Fit, fit_classes
 from gsc_jax.decide import MaskRule
 from gsc_jax.evidence import Evidence
 from gsc_jax.finding import DISAGREE, Finding, Reliability, undisputed
+from gsc_jax.fusion import Prior, both, log_odds_of, pooled
 from gsc_jax.projection import NEAR
 from gsc_jax.roles import Roles, assign_roles, verdict
 from gsc_jax.scene import Array
@@ -44,7 +45,8 @@ class RobustConfig:
         certainty: Log odds of a class against another after a view that tells them apart.
         smoothing: Log odds that neighbours of one mind add; 0 asks none.
         neighbours: How many are asked.
-        native: Weight of what the Gaussians themselves say (`native.py`), where that is given.
+        native: Weight in [0, 1] of what the Gaussians themselves say (`native.py`), where that is
+            given.
         doubt: Nothing is labelled where the verdict on the scene is less likely than this.
         tolerance: `locate` looks from no more cameras once further views change less than this
             share of what is labelled; 0 looks from all.
@@ -88,27 +90,13 @@ class RobustConfig:
         for name in ("trust", "pixels", "certainty", "near"):
             if not 0 < getattr(self, name) < math.inf:
                 raise ValueError(f"{name} must be above 0, got {getattr(self, name)}")
-        for name in ("smoothing", "native"):
-            if not 0 <= getattr(self, name) < math.inf:
-                raise ValueError(f"{name} must be 0 or more, got {getattr(self, name)}")
+        if not 0 <= self.smoothing < math.inf:
+            raise ValueError(f"smoothing must be 0 or more, got {self.smoothing}")
+        if not 0 <= self.native <= 1:
+            raise ValueError(f"native must be in [0, 1], got {self.native}")
         for name in ("doubt", "tolerance", "threshold"):
             if not 0 <= getattr(self, name) < 1:
                 raise ValueError(f"{name} must be in [0, 1), got {getattr(self, name)}")
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Prior:
-    """What is known without the masks.
-
-    Attributes:
-        log_odds: That a Gaussian is tampered, shape (N,).
-        scene: Log odds that anything was tampered with, if half of all scenes are.
-        exact: Probability by exact traces of editing alone, shape (N,); None where there are none.
-    """
-
-    log_odds: np.ndarray
-    scene: float
-    exact: np.ndarray | None = None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -149,35 +137,28 @@ def find_robust(
     clear = undisputed(evidence)
     if clear:
         return dataclasses.replace(clear, verdict=verdict(float(clear.labels.any()), views))
-    found = estimate(evidence, means, config, prior)
-    probability = found.probability
+    found = estimate(evidence, means, config)
+    probability, shown = found.probability, verdict(0.0, views)
     # What no Gaussian is found in speaks for nothing, however often it was flagged.
-    shown = verdict(0.0, views)
-    if found.roles and (probability > 0.5).any():
-        shown = verdict(found.roles.rate, found.roles.views)
+    lifted = found.roles if (probability > 0.5).any() else None
+    if lifted:
+        shown = verdict(lifted.rate, lifted.views)
     certain = shown
     if prior is not None:
-        certain = both(shown, config.native * prior.scene)
-        if prior.exact is not None:  # then what the masks add is as sure as the masks are
-            traced = np.where(found.seen, prior.exact, 0)
-            probability = shown * probability + (1 - shown) * traced
+        probability = pooled(probability, prior, config.native * (1 - shown * found.seen))
+        certain = both(shown, config.native * max(log_odds_of(prior.verdict), 0.0))
     believed = certain >= config.doubt
     tamper, labels = probability * believed, (probability > config.threshold) & believed
-    within = np.clip(probability.astype(np.float64), 1e-9, 1 - 1e-9)
+    told = found.seen | (probability > 0)
     return Finding(
-        attribute=np.where(found.seen, np.log(within / (1 - within)), 0.0).astype(np.float32),
+        attribute=np.where(told, log_odds_of(probability), 0.0).astype(np.float32),
         tamper=tamper,
         labels=labels,
         group_sizes=np.zeros((0, 3), np.int32),
         verdict=certain,
-        reliability=_reliability(found.roles) if labels.any() else (),
-        warnings=_doubts(found.roles, labels, shown, certain),
+        reliability=_reliability(lifted) if labels.any() else (),
+        warnings=_doubts(found.roles, lifted, labels, shown, certain),
     )
-
-
-def both(certain: float, log_odds: float) -> float:
-    """A probability after independent evidence of these log odds."""
-    return float(certain / (certain + (1 - certain) * math.exp(-log_odds)))
 
 
 def _reliability(roles: Roles | None) -> tuple[Reliability, ...]:
@@ -188,14 +169,17 @@ def _reliability(roles: Roles | None) -> tuple[Reliability, ...]:
     return tuple(np.where(roles.inverted, "inverted", told).tolist())
 
 
-def _doubts(roles: Roles | None, labels: np.ndarray, shown: float, certain: float) -> list[str]:
+def _doubts(
+    roles: Roles | None, lifted: Roles | None, labels: np.ndarray, shown: float, certain: float
+) -> list[str]:
     """What a user should know before believing the labels, by the views alone and by all."""
+    own = " What is labelled is what the Gaussians themselves say." if labels.any() else ""
     if roles is None:
-        return [DISAGREE]
+        return [DISAGREE + own]
     warnings = []
-    if not labels.any():
+    if not (lifted and labels.any()):
         often = f" None was flagged in more than {roles.rate:.0%} of those that see it."
-        warnings.append(DISAGREE + often)
+        warnings.append(DISAGREE + often + own)
     elif shown < 0.5:
         so = "perhaps nothing was tampered with"
         if certain >= 0.5:
@@ -213,16 +197,13 @@ def _doubts(roles: Roles | None, labels: np.ndarray, shown: float, certain: floa
     return warnings
 
 
-def estimate(
-    evidence: Evidence, means: Array, config: RobustConfig, prior: Prior | None = None
-) -> Estimate:
+def estimate(evidence: Evidence, means: Array, config: RobustConfig) -> Estimate:
     """The probability of each Gaussian to be tampered.
 
     Args:
         evidence: What V views say of N Gaussians, shapes (V, N).
         means: Their centres, shape (N, 3); any unit.
         config: Of the estimator.
-        prior: What else is known.
 
     Returns:
         The estimate; deterministic, and finite for any evidence.
@@ -243,9 +224,6 @@ def estimate(
     if roles is None:
         return found
     logits = -config.certainty * disagreement(evidence, roles, config.trust)
-    if prior is not None:
-        # An edit need not show in its Gaussians, so what does not is no evidence against one.
-        logits += config.native * np.maximum(prior.log_odds, 0)[:, None] * roles.tampered
     belief = smoothed(
         logits,
         roles.tampered,

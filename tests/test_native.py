@@ -123,16 +123,17 @@ def asked(learned, *, verdict: float = 0.9, traced: tuple[int, ...] = ()) -> Nat
 
 def test_a_trace_alone_is_enough_and_more_than_even_odds_are_asked_of_the_rest():
     native = asked([-3, -3, BESIDE + 0.1, BESIDE - 0.1], verdict=0.3, traced=(0,))
-    found = find_native(native, RobustConfig())
+    found = find_native(native)
     assert found.labels.tolist() == [True, False, True, False]
     np.testing.assert_allclose(found.attribute, native.log_odds - BESIDE, atol=1e-5)
-    assert native.prior.scene == pytest.approx(np.log(999), rel=1e-2)
+    assert native.prior.verdict == pytest.approx(0.999)
+    np.testing.assert_array_equal(native.prior.probability, found.tamper)
     assert not native.without_traces.traces
 
 
 def test_where_an_edit_is_not_sure_only_what_stands_out_is_labelled():
     low, high = (-3 + 10 * (LEVEL + off) for off in (-0.02, 0.02))
-    found = find_native(asked([low, high, 7, -3], verdict=SURELY - 0.1), RobustConfig())
+    found = find_native(asked([low, high, 7, -3], verdict=SURELY - 0.1))
     assert found.labels.tolist() == [False, True, True, False]
 
 
@@ -144,19 +145,19 @@ def split(seed: int, edited: int) -> np.ndarray:
 
 @pytest.mark.parametrize("edited", [400, 5_000])
 def test_where_an_edit_is_sure_what_stands_apart_is_labelled(edited: int):
-    labels = find_native(asked(split(0, edited)), RobustConfig()).labels
+    labels = find_native(asked(split(0, edited))).labels
     assert labels[-edited:].mean() > 0.97
     assert labels[:-edited].mean() < 0.01
-    shy = find_native(asked(split(0, edited), verdict=SURELY - 0.1), RobustConfig()).labels
+    shy = find_native(asked(split(0, edited), verdict=SURELY - 0.1)).labels
     assert shy[-edited:].mean() < 0.95
 
 
 def test_traces_that_name_little_of_what_stands_apart_do_not_name_the_edit():
     log_odds = split(1, 2_000)
-    few = find_native(asked(log_odds, traced=(0, -1)), RobustConfig()).labels
+    few = find_native(asked(log_odds, traced=(0, -1))).labels
     assert few[0]
     assert few[-2_000:].mean() > 0.99
-    most = find_native(asked(log_odds, traced=tuple(range(-1_500, 0))), RobustConfig()).labels
+    most = find_native(asked(log_odds, traced=tuple(range(-1_500, 0)))).labels
     assert most[-1_500:].all()
     assert most[-2_000:-1_500].mean() < 0.9
 
@@ -174,7 +175,7 @@ def test_rows_of_which_nothing_is_known_do_not_move_the_level():
 def test_where_nothing_stands_out_there_is_no_gap():
     flat = dataclasses.replace(asked(np.full(50, -3.0)), worst=-3.0)
     assert level_of(flat) == -3.0
-    assert not find_native(flat, RobustConfig()).labels.any()
+    assert not find_native(flat).labels.any()
 
 
 @given(st.integers(0, 99), st.integers(50, 5_000), st.floats(-5, 5), st.floats(0.2, 5))
@@ -197,8 +198,8 @@ def test_nothing_is_labelled_where_next_to_nothing_speaks_for_an_edit():
         verdict=0.01,
         traces=(),
     )
-    assert not find_native(native, RobustConfig()).labels.any()
-    assert not find_native(native, RobustConfig()).tamper.any()
+    assert not find_native(native).labels.any()
+    assert not find_native(native).tamper.any()
     assert find_native(native, RobustConfig(doubt=0.0)).labels.tolist() == [True, False]
 
 

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from gsc_jax.evidence import Evidence
-from gsc_jax.robust import Prior, RobustConfig, disagreement, estimate, find_robust, looks_of
+from gsc_jax.fusion import Prior
+from gsc_jax.robust import RobustConfig, disagreement, estimate, find_robust, looks_of
 from gsc_jax.roles import assign_roles, verdict
 
 VIEWS, COUNT = 12, 400
@@ -248,18 +249,19 @@ def test_disagreement_counts_looks_that_contradict_a_pattern():
 
 
 @pytest.mark.parametrize(("views", "decoy"), [(4, False), (11, True)])
-def test_where_traces_tell_of_an_edit_masks_add_as_much_as_they_are_sure(views, decoy):
+def test_the_gaussians_are_believed_as_far_as_the_masks_are_not(views, decoy):
     """What few views flag is a decoy; what nearly all flag is something."""
-    traced = np.where(TRUE, 0.99, 0.0).astype(np.float32)
-    prior = Prior(log_odds=np.where(TRUE, 5, -5).astype(np.float32), scene=9.0, exact=traced)
+    prior = Prior(probability=np.where(TRUE, 0.99, 0.0), verdict=0.9999)
     flagged = np.zeros((VIEWS, COUNT), bool)
     flagged[:views, KINDS == DECOY] = True
     found = find_robust(masked(flagged), MEANS, CONFIG, prior)
     seen = TOTAL.sum(axis=0) > 0
     assert found.verdict is not None
     assert found.verdict > 0.99
-    assert found.labels[seen & (KINDS == DECOY)].all() == decoy
-    assert decoy or np.array_equal(found.labels, TRUE & seen)
+    expected = KINDS == DECOY if decoy else TRUE
+    assert np.array_equal(found.labels[seen], expected[seen])
+    assert np.array_equal(found.labels[~seen], TRUE[~seen])
+    assert (found.attribute[~seen & TRUE] > 0).all()
     assert any("the Gaussians themselves" in said for said in found.warnings) != decoy
 
 

@@ -28,7 +28,7 @@ from gsc_jax.benchmark.simulate import REGIMES
 from gsc_jax.method import METHODS, MethodConfig
 
 CHECKERS = {"GS-Checker official": METHODS["official"], "GS-Checker paper": METHODS["paper"]}
-NAMES = (*CHECKERS, "FlashSplat")
+NAMES = (*CHECKERS, "FlashSplat", "robust")
 ALONE, AMONG = "Gaussians", "Gaussians, shown among all"
 RESOURCES = ("views", "pixels", "iterations", ALONE, AMONG)
 SHARES = (0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 1.0)

@@ -285,6 +285,8 @@ def test_some_methods_are_measured_beside_the_rows_of_the_others(tmp_path):
     )
     with pytest.raises(InputError, match="other cases"):
         runner.measured(args, "x", [[{**row("b", 0.3), "seed": 1}]])
+    with pytest.raises(InputError, match="other masks"):
+        runner.measured(args, "x", [[row(runner.TRUTH, 0.9), row("b", 0.3)]])
     with pytest.raises(InputError, match="expected some of a, b"):
         args.among({"a": None, "b": None})
 

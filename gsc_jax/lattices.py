@@ -90,27 +90,12 @@ def _block(codes: np.ndarray, count: int, neighbours: np.ndarray) -> np.ndarray:
     interleaved, they keep to one of them. That is an eigenvector, of an eigenvalue near 1, of how
     often neighbours have each pair of values less how often they have that pair of bins.
     """
-    from scipy.sparse.linalg import ArpackNoConvergence, eigsh
-
     none = np.zeros(len(codes), bool)
     if count > VALUES:
         return none
-    pairs = _pairs(codes, count, neighbours)
-    degrees = np.maximum(pairs.sum(axis=1), 1.0)
     bins = np.arange(0, count, BIN)
-    member = np.arange(count) // BIN
-    binned = np.add.reduceat(np.add.reduceat(pairs, bins, axis=0), bins, axis=1)
-    within = degrees / np.maximum(np.add.reduceat(degrees, bins)[member], 1.0)
-    expected = binned[np.ix_(member, member)] * np.outer(within, within)
-    surprise = (pairs - expected) / np.sqrt(np.outer(degrees, degrees))
-    if not surprise.any():
-        return none
-    start = np.random.default_rng(0).normal(size=count)
-    try:
-        size, vectors = eigsh(surprise, k=BLOCKS, which="LA", v0=start, **LOOSELY)
-    except ArpackNoConvergence as trouble:
-        size, vectors = trouble.eigenvalues, trouble.eigenvectors
-    places = (vectors / np.sqrt(degrees)[:, None])[:, size > APART]
+    surprise, degrees = _surprise(_pairs(codes, count, neighbours), bins)
+    places = _directions(surprise) / np.sqrt(degrees)[:, None]
     if not places.size:
         return none
     seeds = _farthest(places, degrees)
@@ -120,11 +105,39 @@ def _block(codes: np.ndarray, count: int, neighbours: np.ndarray) -> np.ndarray:
     blocks = np.argmin(gaps, axis=1)
     shares = np.bincount(blocks[codes[codes >= 0]], minlength=len(seeds)) / len(codes)
     odd = (shares <= TILE)[blocks]
-    # Values all of one block are not interleaved with others: extremes neighbour only each other.
-    odd &= ~np.logical_and.reduceat(odd, bins)[member]
+    # Where all values of a bin are odd nothing is interleaved: extremes neighbour only each other.
+    odd &= ~np.repeat(np.logical_and.reduceat(odd, bins), BIN)[:count]
     foreign = (codes >= 0) & odd[codes]
     loyal = foreign[neighbours][foreign].mean() if foreign.any() else 0
     return foreign if loyal >= LOYAL and foreign.mean() <= TILE else none
+
+
+def _surprise(pairs: np.ndarray, bins: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How much oftener pairs of values are neighbours than their bins, (V, V), and degrees, (V,).
+
+    Divided by the degrees of both, so that eigenvalues are at most about 1: all neighbours of a
+    part are of that part.
+    """
+    degrees = np.maximum(pairs.sum(axis=1), 1.0)
+    member = np.arange(len(pairs)) // BIN
+    binned = np.add.reduceat(np.add.reduceat(pairs, bins, axis=0), bins, axis=1)
+    within = degrees / np.maximum(np.add.reduceat(degrees, bins)[member], 1.0)
+    expected = binned[np.ix_(member, member)] * np.outer(within, within)
+    return (pairs - expected) / np.sqrt(np.outer(degrees, degrees)), degrees
+
+
+def _directions(surprise: np.ndarray) -> np.ndarray:
+    """Eigenvectors whose eigenvalues tell of two lattices, shape (V, at most `BLOCKS`)."""
+    from scipy.sparse.linalg import ArpackNoConvergence, eigsh
+
+    if not surprise.any():
+        return surprise[:, :0]
+    start = np.random.default_rng(0).normal(size=len(surprise))
+    try:
+        size, vectors = eigsh(surprise, k=BLOCKS, which="LA", v0=start, **LOOSELY)
+    except ArpackNoConvergence as trouble:
+        size, vectors = trouble.eigenvalues, trouble.eigenvectors
+    return vectors[:, size > APART]
 
 
 def _pairs(codes: np.ndarray, count: int, neighbours: np.ndarray) -> np.ndarray:

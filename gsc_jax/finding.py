@@ -12,6 +12,8 @@ Reliability = Literal["finds", "misses", "inverted", "unseen"]
 show it at all."""
 DISAGREE = "Pixels were flagged, but the views agree on no tampered Gaussian."
 """The warning of a method that finds nothing in masks that are not empty."""
+NOTHING = "No view says that anything is tampered."
+"""The warning where all masks are empty."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -20,7 +22,7 @@ class Finding:
 
     Attributes:
         attribute: Raw attribute r, shape (N,) float32; unbounded. Of `robust` the log odds.
-        tamper: Score in [0, 1], shape (N,) float32; 0 where nothing was seen.
+        tamper: Score in [0, 1], shape (N,) float32; 0 where nothing is known of a Gaussian.
         labels: Tampered Gaussians, shape (N,) bool.
         group_sizes: Sizes of G_h, G_m and G_l in every iteration, shape (iterations, 3).
         verdict: Probability that anything was tampered with; None of methods that cannot say.
@@ -49,7 +51,7 @@ def undisputed(evidence: Evidence) -> Finding | None:
     """
     seen = evidence.seen
     if evidence.says_nothing:
-        labels, said = np.zeros(len(seen), bool), "No view says that anything is tampered."
+        labels, said = np.zeros(len(seen), bool), NOTHING
     elif evidence.says_everything:
         labels, said = seen, "Every view says that everything is tampered."
     else:

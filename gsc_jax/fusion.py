@@ -1,7 +1,7 @@
-"""Two opinions as one: what the masks say, and what the Gaussians themselves say of an edit.
+"""Two opinions as one: what the masks say, and what is known without them.
 
-Neither knows of the other, and both know how sure they are: the estimator by how many views agree,
-the native evidence by its verdict on the scene.
+Neither knows of the other, and both know how sure they are: the masks by how many views agree, what
+is known without them (the prior, such as the native evidence) by its own verdict on the scene.
 """
 
 import dataclasses
@@ -19,28 +19,82 @@ class Prior:
     Attributes:
         probability: That a Gaussian is tampered, if anything is, shape (N,) in [0, 1].
         verdict: Probability that anything is.
+        known: Gaussians of which it says something, shape (N,) bool.
+
+    Raises:
+        ValueError: if that is not what they are.
     """
 
     probability: np.ndarray
     verdict: float
+    known: np.ndarray
+
+    def __post_init__(self) -> None:
+        """Refuse what would spoil every Gaussian."""
+        given = np.append(self.probability, self.verdict)
+        if not ((given >= 0) & (given <= 1)).all():
+            raise ValueError(
+                "a prior has probabilities and a verdict in [0, 1], got "
+                f"{np.min(given):g} to {np.max(given):g}"
+            )
+        if np.shape(self.known) != np.shape(self.probability) or np.ndim(self.known) != 1:
+            raise ValueError(
+                "a prior speaks of as many Gaussians as it knows, got shapes "
+                f"{np.shape(self.probability)} and {np.shape(self.known)}"
+            )
 
 
-def pooled(probability: np.ndarray, prior: Prior, doubt: np.ndarray) -> np.ndarray:
-    """The probability of each Gaussian to be tampered by both: a linear pool (Stone, 1961).
+def fused(
+    probability: np.ndarray, shown: float, seen: np.ndarray, prior: Prior, weight: float = 1.0
+) -> tuple[np.ndarray, float]:
+    """The probability of each Gaussian to be tampered, and the verdict, by masks and prior.
 
-    As far as the masks are in doubt the Gaussian is what the prior says, as far as that itself is
-    sure that anything was edited.
+    The verdict counts what the prior says for an edit; an edit need not show there, so what it says
+    against one is no evidence.
 
     Args:
         probability: What the masks say of N Gaussians, shape (N,).
+        shown: Their verdict on the scene.
+        seen: Gaussians that any view saw, shape (N,) bool.
         prior: What is known without them.
-        doubt: How likely the masks show no edit, shape (N,); 1 where no view sees a Gaussian.
+        weight: Of the prior, in [0, 1].
 
     Returns:
-        The probability by both, shape (N,) float32.
+        The probability, shape (N,) float32, and the verdict.
+
+    Raises:
+        ValueError: if the prior speaks of another number of Gaussians.
     """
-    weight = doubt * prior.verdict
-    return ((1 - weight) * probability + weight * prior.probability).astype(np.float32)
+    if len(prior.probability) != len(probability):
+        raise ValueError(
+            f"the prior speaks of {len(prior.probability)} Gaussians, expected {len(probability)}"
+        )
+    doubt = np.where(seen, 1 - shown, 1.0)
+    share = weight * prior.verdict * doubt * prior.known
+    certain = both(shown, weight * max(float(log_odds_of(prior.verdict)), 0.0))
+    return pooled(probability, prior.probability, share), certain
+
+
+def pooled(one: np.ndarray, other: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """Two opinions on each Gaussian as one, a linear pool (Stone, 1961).
+
+    Halfway between two opinions nothing may be likely any more, although one of them names
+    something. Then that one speaks alone, or of both the one that counts more.
+
+    Args:
+        one: Probabilities, shape (N,).
+        other: Others, shape (N,).
+        share: What the others count, in [0, 1], shape (N,).
+
+    Returns:
+        The probabilities by both, shape (N,) float32.
+    """
+    between = ((1 - share) * one + share * other).astype(np.float32)
+    names = [bool((opinion > 0.5).any()) for opinion in (one, other)]
+    if (between > 0.5).any() or not any(names):
+        return between
+    preferred = np.mean(share) > 0.5 if all(names) else names[1]
+    return np.asarray(other if preferred else one, np.float32)
 
 
 def both(certain: float, log_odds: float) -> float:

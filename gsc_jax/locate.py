@@ -1,7 +1,6 @@
 """The whole method: scene, cameras and perhaps a 2D detector in, the tampered Gaussians out."""
 
 import dataclasses
-import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -20,7 +19,6 @@ from gsc_jax.native import Native, find_native, native_evidence
 from gsc_jax.observe import observe
 from gsc_jax.parallel import WORKERS, ahead
 from gsc_jax.robust import RobustConfig
-from gsc_jax.roles import verdict
 from gsc_jax.scene import Camera, Gaussians, invalid_rows
 from gsc_jax.stages import Progress, Stages, silent
 from gsc_jax.views import check_views
@@ -34,8 +32,9 @@ class Result:
     """What was found.
 
     Attributes:
-        tamper: Score in [0, 1], shape (N,) float32; 0 where nothing was seen. Of `robust` it is the
-            probability to be tampered, if anything is; all 0 where next to nothing speaks for that.
+        tamper: Score in [0, 1], shape (N,) float32; 0 where nothing is known of a Gaussian. Of
+            `robust` it is the probability to be tampered, given an edit (`fusion.py`); all 0 where
+            next to nothing speaks for one.
         labels: Tampered Gaussians, shape (N,) bool.
         attribute: Raw attribute r, shape (N,) float32; unbounded. Of `robust` the log odds.
         verdict: Probability that anything was tampered with; None of methods that cannot say.
@@ -119,7 +118,7 @@ def locate(
         look = _looked(gaussians, chosen, detector, told, config, stages, progress)
     elif told is not None and isinstance(config, RobustConfig):
         with stages("optimise"):
-            look = _Looked(finding=find_native(told, config), seen=told.known)
+            look = _Looked(finding=find_native(told, config=config), seen=told.known)
     else:
         raise ValueError(
             f"{config.name} without a detector and without the Gaussians' own evidence has nothing "
@@ -212,8 +211,6 @@ def _looked(
         )
         with stages("optimise"):
             finding = find(gaussians, cameras, observation, config, prior)
-    if native is not None and observation.evidence.says_nothing:
-        finding = _although_unseen(native, len(cameras), config)
     return _Looked(
         finding=finding,
         seen=observation.evidence.seen,
@@ -222,17 +219,6 @@ def _looked(
         detections=observation.detections,
         effort=effort,
     )
-
-
-def _although_unseen(native: Native, views: int, config: Config) -> Finding:
-    """What the Gaussians say where no view flags anything, which speaks against them."""
-    assert isinstance(config, RobustConfig)
-    silent = verdict(0.0, views)
-    found = find_native(native, config, against=math.log((1 - silent) / silent))
-    said = "No view says that anything is tampered."
-    if found.labels.any():
-        said += " What is labelled is what the Gaussians themselves say."
-    return dataclasses.replace(found, warnings=[said])
 
 
 def _masks(

@@ -12,7 +12,7 @@ import numpy as np
 
 from gsc_jax.cues import NEIGHBOURS, cues
 from gsc_jax.finding import Finding
-from gsc_jax.fusion import Prior, both
+from gsc_jax.fusion import Prior
 from gsc_jax.robust import RobustConfig
 from gsc_jax.scene import Gaussians, invalid_rows
 from gsc_jax.suspicion import SURE, Model, opinions, shipped_model, worst_part
@@ -61,7 +61,7 @@ class Native:
     @property
     def prior(self) -> Prior:
         """What this is to the robust estimator."""
-        return Prior(probability=_tamper(self), verdict=self.verdict)
+        return Prior(probability=_tamper(self), verdict=self.verdict, known=self.known)
 
     @property
     def without_traces(self) -> "Native":
@@ -125,10 +125,8 @@ def _learned(usable: Gaussians, model: Model) -> tuple[np.ndarray, np.ndarray]:
     return opinions(described, model), described.around.nearest[:, :ASKED].copy()
 
 
-def find_native(
-    native: Native, config: RobustConfig | None = None, *, against: float = 0.0
-) -> Finding:
-    """What is tampered where no view flags anything, or there is none.
+def find_native(native: Native, *, config: RobustConfig | None = None) -> Finding:
+    """What is tampered where there are no masks.
 
     That the calibrated probabilities are mostly small says how often scenes like this one are
     misjudged. Given that something was edited, it is what stands out here (`level_of`).
@@ -137,13 +135,11 @@ def find_native(
         native: What the Gaussians say, N of them.
         config: Of the estimator, of which the threshold and the doubt matter here; its defaults
             if not given.
-        against: Log odds by which views that flag nothing speak against any edit.
 
     Returns:
         The finding; its attribute is the log odds, counted from that level.
     """
-    config = config or RobustConfig()
-    certain = both(native.verdict, -against)
+    config, certain = config or RobustConfig(), native.verdict
     tamper = _tamper(native)
     labels = (tamper > config.threshold) & (certain >= config.doubt)
     return Finding(

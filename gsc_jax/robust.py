@@ -17,9 +17,10 @@ import numpy as np
 
 from gsc_jax.classes import Fit, fit_classes
 from gsc_jax.decide import MaskRule
+from gsc_jax.doubts import OWN, doubts, reliability_of
 from gsc_jax.evidence import Evidence
-from gsc_jax.finding import DISAGREE, Finding, Reliability, undisputed
-from gsc_jax.fusion import Prior, both, log_odds_of, pooled
+from gsc_jax.finding import NOTHING, Finding, undisputed
+from gsc_jax.fusion import Prior, fused, log_odds_of
 from gsc_jax.projection import NEAR
 from gsc_jax.roles import Roles, assign_roles, verdict
 from gsc_jax.scene import Array
@@ -118,6 +119,11 @@ class Estimate:
     classes: int
     iterations: int
 
+    @property
+    def agreed(self) -> np.ndarray:
+        """Gaussians that the masks agree on, shape (N,) bool."""
+        return self.probability > 0.5
+
 
 def find_robust(
     evidence: Evidence, means: Array, config: RobustConfig, prior: Prior | None = None
@@ -128,73 +134,45 @@ def find_robust(
         evidence: What V views say of N Gaussians, shapes (V, N).
         means: Their centres, shape (N, 3); any unit.
         config: Of the estimator.
-        prior: What else is known.
+        prior: What is known of the N Gaussians without the masks; it may name what no view sees.
 
     Returns:
         The finding; its attribute is the log odds of the probability.
+
+    Raises:
+        ValueError: if the prior speaks of another number of Gaussians.
     """
-    views = float(np.shape(evidence.total)[0])
-    clear = undisputed(evidence)
-    if clear:
+    clear, views = undisputed(evidence), float(np.shape(evidence.total)[0])
+    if clear and (prior is None or evidence.says_everything):
         return dataclasses.replace(clear, verdict=verdict(float(clear.labels.any()), views))
-    found = estimate(evidence, means, config)
-    probability, shown = found.probability, verdict(0.0, views)
+    found = _nothing(evidence.seen) if clear else estimate(evidence, means, config)
+    probability, known = found.probability, found.seen
     # What no Gaussian is found in speaks for nothing, however often it was flagged.
-    lifted = found.roles if (probability > 0.5).any() else None
-    if lifted:
-        shown = verdict(lifted.rate, lifted.views)
-    certain = shown
-    if prior is not None:
-        probability = pooled(probability, prior, config.native * (1 - shown * found.seen))
-        certain = both(shown, config.native * max(log_odds_of(prior.verdict), 0.0))
+    roles = found.roles if found.agreed.any() else None
+    certain = shown = verdict(roles.rate, roles.views) if roles else verdict(0.0, views)
+    if prior is not None and config.native > 0:
+        probability, certain = fused(probability, shown, found.seen, prior, config.native)
+        known = found.seen | prior.known
     believed = certain >= config.doubt
-    tamper, labels = probability * believed, (probability > config.threshold) & believed
-    told = found.seen | (probability > 0)
+    labels = (probability > config.threshold) & believed
+    said = doubts(found.agreed, found.roles, labels, shown, certain)
+    if clear:
+        said = [NOTHING + OWN * bool(labels.any())]
     return Finding(
-        attribute=np.where(told, log_odds_of(probability), 0.0).astype(np.float32),
-        tamper=tamper,
+        attribute=np.where(known, log_odds_of(probability), 0.0).astype(np.float32),
+        tamper=probability * believed,
         labels=labels,
         group_sizes=np.zeros((0, 3), np.int32),
         verdict=certain,
-        reliability=_reliability(lifted) if labels.any() else (),
-        warnings=_doubts(found.roles, lifted, labels, shown, certain),
+        reliability=reliability_of(roles) if roles and (found.agreed & labels).any() else (),
+        warnings=said,
     )
 
 
-def _reliability(roles: Roles | None) -> tuple[Reliability, ...]:
-    if roles is None:
-        return ()
-    told = np.where(roles.finds, "finds", "misses")
-    told = np.where(roles.sees, told, "unseen")
-    return tuple(np.where(roles.inverted, "inverted", told).tolist())
-
-
-def _doubts(
-    roles: Roles | None, lifted: Roles | None, labels: np.ndarray, shown: float, certain: float
-) -> list[str]:
-    """What a user should know before believing the labels, by the views alone and by all."""
-    own = " What is labelled is what the Gaussians themselves say." if labels.any() else ""
-    if roles is None:
-        return [DISAGREE + own]
-    warnings = []
-    if not (lifted and labels.any()):
-        often = f" None was flagged in more than {roles.rate:.0%} of those that see it."
-        warnings.append(DISAGREE + often + own)
-    elif shown < 0.5:
-        so = "perhaps nothing was tampered with"
-        if certain >= 0.5:
-            so = "that something was tampered with is said by the Gaussians themselves"
-        warnings.append(
-            f"What the masks agree on was flagged in {roles.rate:.0%} of the views that see it, as "
-            f"often happens to authentic things: {so}."
-        )
-    if roles.inverted.mean() > 0.5:
-        warnings.append(
-            f"{roles.inverted.sum()} of {len(roles.inverted)} masks flag the larger part of the "
-            "scene and were read the other way round; if that part was tampered with, use another "
-            "method."
-        )
-    return warnings
+def _nothing(seen: np.ndarray) -> Estimate:
+    """What there is to say where no view flags anything."""
+    nothing = np.zeros(len(seen), np.float32)
+    return Estimate(probability=nothing, seen=seen, roles=None, classes=0, iterations=0)
 
 
 def estimate(evidence: Evidence, means: Array, config: RobustConfig) -> Estimate:

@@ -53,7 +53,7 @@ def test_true_masks_find_the_tampered_gaussians(method):
         assert overlap > 0.9, f"the mask of {name} does not show the tampered region"
     assert result.tamper.dtype == np.float32
     assert result.tamper.min() >= 0
-    assert result.tamper.max() == pytest.approx(1, abs=1e-3)
+    assert result.tamper.max() == pytest.approx(1, abs=1e-2)
     assert not result.labels[BEHIND], "a Gaussian that no view sees was found tampered"
 
 
@@ -112,9 +112,8 @@ def test_a_hidden_gaussian_does_not_set_the_scale(method):
     wall = [[0, 0, 2]] * 4
     behind = [[0, 0, 40 + i] for i in range(30)]
     scene = blobs([*wall, *behind], opacity=0.999, scale=1.5)
-    result = locate(
-        scene, cameras(), everywhere(1.0) | {"view_0": np.zeros((32, 48))}, method=method
-    )
+    said = everywhere(1.0) | {"view_0": np.zeros((32, 48))}
+    result = locate(scene, cameras(), said, method=method, native=False)
     assert not result.seen[-1], "the scene hides nothing"
     assert not result.tamper[~result.seen].any()
     assert not result.attribute[~result.seen].any()

@@ -200,7 +200,7 @@ def test_nothing_is_labelled_where_next_to_nothing_speaks_for_an_edit():
     )
     assert not find_native(native).labels.any()
     assert not find_native(native).tamper.any()
-    assert find_native(native, RobustConfig(doubt=0.0)).labels.tolist() == [True, False]
+    assert find_native(native, config=RobustConfig(doubt=0.0)).labels.tolist() == [True, False]
 
 
 def test_locate_without_a_detector_asks_the_gaussians():

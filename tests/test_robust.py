@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from gsc_jax.evidence import Evidence
+from gsc_jax.finding import NOTHING
 from gsc_jax.fusion import Prior
 from gsc_jax.robust import RobustConfig, disagreement, estimate, find_robust, looks_of
 from gsc_jax.roles import assign_roles, verdict
@@ -125,7 +126,14 @@ def test_what_few_views_flag_is_labelled_only_if_that_is_asked_for():
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"mask_rule": "all"}, {"sample": 0}, {"trust": 0.0}, {"threshold": 1.0}, {"doubt": -0.1}],
+    [
+        {"mask_rule": "all"},
+        {"sample": 0},
+        {"trust": 0.0},
+        {"threshold": 1.0},
+        {"doubt": -0.1},
+        {"native": 2.0},
+    ],
 )
 def test_a_configuration_without_meaning_is_refused(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):
@@ -208,6 +216,17 @@ def test_the_estimate_is_the_same_to_the_bit():
 
 
 WEIGHTS = st.sampled_from([0.0, 1e-30, 1e-3, 1.0, 50.0, 1e6])
+SURE = st.sampled_from([0.0, 0.3, 0.6, 1.0])
+
+
+def priors(count: int) -> st.SearchStrategy[Prior]:
+    """What may be known of so many Gaussians."""
+    return st.builds(
+        Prior,
+        probability=hnp.arrays(np.float32, count, elements=SURE),
+        verdict=SURE,
+        known=hnp.arrays(bool, count),
+    )
 
 
 @pytest.mark.parametrize(("views", "count"), [(1, 1), (1, 5), (6, 1), (6, 12)])
@@ -220,12 +239,14 @@ def test_any_evidence_gives_probabilities(views, count, data):
     means = data.draw(
         hnp.arrays(np.float32, (count, 3), elements=st.sampled_from([0.0, 1.0, 1e30, np.nan]))
     )
+    prior = data.draw(st.none() | priors(count))
     with np.errstate(over="ignore"):
-        found = find_robust(Evidence(total=total, tampered=total * share), means, CONFIG)
+        found = find_robust(Evidence(total=total, tampered=total * share), means, CONFIG, prior)
     assert np.isfinite(found.tamper).all()
     assert np.isfinite(found.attribute).all()
     assert 0 <= found.tamper.min() <= found.tamper.max() <= 1
-    assert not found.labels[total.sum(0) == 0].any(), "what nothing saw was found tampered"
+    known = (total.sum(0) > 0) | (prior is not None and prior.known & (prior.probability > 0))
+    assert not found.labels[~known].any(), "what nothing saw was found tampered"
     assert found.verdict is not None
     assert 0 < found.verdict < 1
 
@@ -248,21 +269,59 @@ def test_disagreement_counts_looks_that_contradict_a_pattern():
     assert disagreement(evidence, roles, 8.0).tolist() == expected
 
 
-@pytest.mark.parametrize(("views", "decoy"), [(4, False), (11, True)])
-def test_the_gaussians_are_believed_as_far_as_the_masks_are_not(views, decoy):
-    """What few views flag is a decoy; what nearly all flag is something."""
-    prior = Prior(probability=np.where(TRUE, 0.99, 0.0), verdict=0.9999)
+def decoy_in(views: int) -> Evidence:
+    """Masks that flag the decoy in some views: in few, as happens to authentic things, or most."""
     flagged = np.zeros((VIEWS, COUNT), bool)
     flagged[:views, KINDS == DECOY] = True
-    found = find_robust(masked(flagged), MEANS, CONFIG, prior)
-    seen = TOTAL.sum(axis=0) > 0
-    assert found.verdict is not None
-    assert found.verdict > 0.99
-    expected = KINDS == DECOY if decoy else TRUE
+    return masked(flagged)
+
+
+def knowing(verdict: float) -> Prior:
+    """What the Gaussians say where they know the truth."""
+    return Prior(probability=np.where(TRUE, 0.99, 0.0), verdict=verdict, known=np.ones(COUNT, bool))
+
+
+@pytest.mark.parametrize(
+    ("views", "verdict", "decoy"),
+    [(4, 0.9999, False), (11, 0.9999, True), (4, 0.3, True), (6, 0.9, False), (6, 0.7, True)],
+)
+def test_the_gaussians_are_believed_as_far_as_the_masks_are_not(views, verdict, decoy):
+    found = find_robust(decoy_in(views), MEANS, CONFIG, knowing(verdict))
+    seen, expected = TOTAL.sum(axis=0) > 0, KINDS == DECOY if decoy else TRUE
     assert np.array_equal(found.labels[seen], expected[seen])
-    assert np.array_equal(found.labels[~seen], TRUE[~seen])
-    assert (found.attribute[~seen & TRUE] > 0).all()
-    assert any("the Gaussians themselves" in said for said in found.warnings) != decoy
+    assert np.array_equal(found.labels[~seen], TRUE[~seen] & (verdict > 0.5))
+    assert found.verdict is not None
+    assert found.verdict >= verdict_of(decoy_in(views))
+    assert bool(found.reliability) == decoy, "what masks are worth in finding something else"
+    assert any("not labelled" in said for said in found.warnings) != decoy
+
+
+def test_what_no_view_flags_the_gaussians_may_name():
+    nothing = masked(np.zeros((VIEWS, COUNT), bool), noise=0)
+    found = find_robust(nothing, MEANS, CONFIG, knowing(0.9999))
+    assert np.array_equal(found.labels, TRUE)
+    assert found.warnings == [f"{NOTHING} What is labelled is what the Gaussians themselves say."]
+    unsure = find_robust(nothing, MEANS, CONFIG, knowing(0.4))
+    assert not unsure.labels.any()
+    assert not unsure.tamper.any()
+
+
+def test_what_is_labelled_without_the_masks_is_counted():
+    masks = np.tile(TRUE & (np.cumsum(TRUE) % 2 == 0), (VIEWS, 1))
+    unseen = TOTAL * (masks.any(axis=0) | ~TRUE)
+    found = find_robust(masked(masks, unseen), MEANS, CONFIG, knowing(0.9))
+    assert np.array_equal(found.labels, TRUE)
+    more = (TRUE & ~masks[0]).sum()
+    assert any(said.startswith(f"{more} of {TRUE.sum()} labelled") for said in found.warnings)
+
+
+def test_a_prior_without_weight_has_no_say():
+    config = dataclasses.replace(CONFIG, native=0.0)
+    with_prior, without = (
+        find_robust(decoy_in(4), MEANS, config, prior) for prior in (knowing(0.99), None)
+    )
+    np.testing.assert_array_equal(with_prior.tamper, without.tamper)
+    assert with_prior.verdict == without.verdict
 
 
 @pytest.mark.parametrize("threshold", [0.01, 0.999999])

@@ -9,6 +9,7 @@ each false blob. What is printed is measured on views that no method was given.
 
 import dataclasses
 import sys
+import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -44,6 +45,8 @@ RUNS: dict[str, Method] = {
 """What is shown, by folder; the first without the masks."""
 INVERSE = "inverse projection"
 ROWS = 4
+WIDTH = 88
+"""Columns of what is printed."""
 
 Views = dict[str, np.ndarray]
 """A picture or mask per camera, by the camera's name."""
@@ -229,16 +232,15 @@ def _story(case: Case) -> list[str]:
     made, failures = case.made, REGIMES[REGIME]
     camera = made.cameras[0]
     scores = mean_over_tampered_views(*_pick(made.cameras, case.detector, case.truth))
-    return [
+    return textwrap.wrap(
         f"A made room of {len(made.labels):,} Gaussians, {made.labels.sum():,} of which are a vase "
-        "pasted onto the table;",
-        f"{len(made.cameras)} views of {camera.width} x {camera.height}, and "
-        f"{len(made.heldout_cameras)} held out for the metrics.",
-        f"The simulated detector ({REGIME}) misses the vase in {failures.misses:.0%} of the views, "
-        f"flags an authentic thing in {failures.decoy:.0%},",
-        f"inverts {failures.inverted:.0%}, and adds blobs and ragged edges: its masks have a mean "
-        f"F1 of {scores.f1:.2f}, IoU {scores.iou:.2f}.",
-    ]
+        f"pasted onto the table; {len(made.cameras)} views of {camera.width} x {camera.height}, "
+        f"and {len(made.heldout_cameras)} held out for the metrics. The simulated detector "
+        f"({REGIME}) misses the vase in {failures.misses:.0%} of the views, flags an authentic "
+        f"thing in {failures.decoy:.0%}, inverts {failures.inverted:.0%}, and adds blobs and "
+        f"ragged edges: its masks have a mean F1 of {scores.f1:.2f}, IoU {scores.iou:.2f}.",
+        WIDTH,
+    )
 
 
 def _by_gaussian(case: Case, labels: Mapping[str, np.ndarray]) -> list[str]:
@@ -252,22 +254,21 @@ def _by_gaussian(case: Case, labels: Mapping[str, np.ndarray]) -> list[str]:
 
 
 def _by_view(case: Case, found: Mapping[str, Views]) -> list[str]:
-    """F1 and IoU of each held-out view; the detector was asked about them for comparison only."""
-    contestants = {"detector alone": case.detector, **found}
+    """F1 on each held-out view; the detector was asked about them for comparison only."""
     cameras = case.made.heldout_cameras
-    scores = {
-        name: mean_over_tampered_views(*_pick(cameras, masks, case.truth))
-        for name, masks in contestants.items()
-    }
-    lines = ["".join([f"{'held-out, F1 / IoU':20}", *(f"{name:>20}" for name in scores)])]
-    for place, view in enumerate(next(iter(scores.values())).views):
-        cells = [(s.per_view["f1"][place], s.per_view["iou"][place]) for s in scores.values()]
-        lines.append(_row(cameras[view].name, cells))
-    return [*lines, _row("mean", [(score.f1, score.iou) for score in scores.values()])]
+    lines = []
+    for name, masks in {"detector alone": case.detector, **found}.items():
+        score = mean_over_tampered_views(*_pick(cameras, masks, case.truth))
+        if not lines:
+            shown = [cameras[view].name.rpartition("_")[2] for view in score.views]
+            lines = [_row("F1 of held-out view", shown, "mean", "IoU")]
+        cells = [f"{f1:.2f}" for f1 in score.per_view["f1"]]
+        lines.append(_row(name, cells, f"{score.f1:.2f}", f"{score.iou:.2f}"))
+    return lines
 
 
-def _row(name: str, cells: Sequence[tuple[float, float]]) -> str:
-    return f"{name:20}" + "".join(f"{f'{f1:.2f} / {iou:.2f}':>20}" for f1, iou in cells)
+def _row(name: str, cells: Sequence[str], *means: str) -> str:
+    return f"{name:20}" + "".join(f"{c:>6}" for c in cells) + "".join(f"{m:>8}" for m in means)
 
 
 def _pick(

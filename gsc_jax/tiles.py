@@ -3,8 +3,9 @@
 Its size depends on the data, so it is made in NumPy on the host. A splat reaches where
 alpha >= 1/255, which is an ellipse, and a tile is the rectangle spanned by its pixel centres. Both
 are convex, so it is exact to cut the ellipse with the strip of each row of tiles and to take the
-columns that the cut covers: no candidate is made and rejected. Pairs of integers are packed into
-keys of 64 bits, which NumPy 2 sorts with vector instructions: once by depth, then by tile.
+columns that the cut covers: no candidate is made and rejected. Splats are sorted by depth once, by
+keys of 64 bits, which NumPy 2 sorts with vector instructions; their tiles are not sorted but
+counted: the lists are the transpose of a sparse matrix of splats and tiles.
 """
 
 import dataclasses
@@ -25,8 +26,6 @@ CPU_LOCKSTEP = 128
 """Tiles that walk together on a CPU: their weights for a chunk then fit into the L2 cache."""
 MIN_LOCKSTEP, MIN_GROUPS = 16, 8
 """But not all tiles of a small view at once: a group walks until its longest list ends."""
-UNIT = np.int64(1) << 32
-"""What the major half of a sort key is multiplied with; the minor half is an index."""
 
 
 @functools.partial(
@@ -174,27 +173,43 @@ def bin_splats(splats: Splats, width: int, height: int) -> TileLists:
     """
     columns, rows = -(-width // TILE), -(-height // TILE)
     order = _front_to_back(np.asarray(splats.depths), np.asarray(splats.visible))
-    ellipses = _ellipses(splats, order)
-    low, high = ellipses.y - ellipses.bottom, ellipses.y + ellipses.bottom
-    row, owner = _unpacked(_packed(*_tile_range(low, high, rows), np.arange(len(order))))
+    ellipses = Ellipses(*(np.asarray(column) for column in _ellipses(splats)))
+    y, bottom = ellipses.y.take(order), ellipses.bottom.take(order)
+    first, lengths = _tile_range(y - bottom, y + bottom, rows)
+    row, owner = _expanded(first, lengths), np.repeat(order, lengths)
     left, right = _cut(Ellipses(*(column.take(owner) for column in ellipses)), row)
     first, lengths = _tile_range(left, right, columns)
-    keys = _packed(row * columns + first, lengths, owner)
-    keys.sort()
-    bounds = np.searchsorted(keys, np.arange(rows * columns + 1) * UNIT).astype(np.int32)
-    return TileLists(
-        ids=order.take(_unpacked(keys)[1]).astype(np.int32),
-        starts=bounds[:-1],
-        counts=np.diff(bounds),
-    )
+    cuts, bounds = _by_tile(row * columns + first, lengths, rows * columns)
+    return TileLists(ids=owner.take(cuts), starts=bounds[:-1], counts=np.diff(bounds))
 
 
 def _front_to_back(depths: np.ndarray, visible: np.ndarray) -> np.ndarray:
     """Indices of the visible splats by depth, ties by index: positive floats sort as their bits."""
     index = np.flatnonzero(visible)
-    keys = depths.take(index).view(np.int32) * UNIT + index
+    keys = (depths.take(index).view(np.int32).astype(np.int64) << 32) + index
     keys.sort()
-    return _unpacked(keys)[1]
+    return keys.astype(np.int32)
+
+
+def _expanded(first: np.ndarray, lengths: np.ndarray) -> np.ndarray:
+    """The numbers first, first + 1, ... of every range, one range after the other."""
+    ends = np.cumsum(lengths, dtype=np.int32)
+    count = ends[-1] if len(ends) else 0
+    return np.repeat(first - (ends - lengths), lengths) + np.arange(count, dtype=np.int32)
+
+
+def _by_tile(first: np.ndarray, lengths: np.ndarray, tiles: int) -> tuple[np.ndarray, np.ndarray]:
+    """Which ranges of tiles cover each tile, in their order, and where each of these lists begins.
+
+    One row of a sparse matrix per range: its transposition counts, and goes through them once.
+    """
+    from scipy.sparse import csr_array
+
+    covered = _expanded(first, lengths)
+    ends = np.append(np.int32(0), np.cumsum(lengths, dtype=np.int32))
+    ones = np.ones(len(covered), np.int8)
+    by_tile = csr_array((ones, covered, ends), shape=(len(lengths), tiles)).tocsc()
+    return by_tile.indices, by_tile.indptr
 
 
 class Ellipses(NamedTuple):
@@ -203,27 +218,25 @@ class Ellipses(NamedTuple):
     It spans y_0 +- bottom, and is rightmost at dy = summit.
     """
 
-    x: np.ndarray
-    y: np.ndarray
-    bottom: np.ndarray
-    summit: np.ndarray
-    slope: np.ndarray
-    width: np.ndarray
-    taper: np.ndarray
+    x: Array
+    y: Array
+    bottom: Array
+    summit: Array
+    slope: Array
+    width: Array
+    taper: Array
 
 
-def _ellipses(splats: Splats, order: np.ndarray) -> Ellipses:
-    """The ellipses of these splats: with det / c from the whitening, as a c - b^2 would cancel."""
-    (x, y), (a, b, c), (steep, _, _) = (
-        np.asarray(leaf).take(order, axis=0).T.copy()
-        for leaf in (splats.means, splats.covs, splats.whitening)
-    )
-    reach, det_over_c = np.asarray(splats.reach).take(order), np.float32(0.5) / steep**2
+@jax.jit
+def _ellipses(splats: Splats) -> Ellipses:
+    """The ellipses of all splats: with det / c from the whitening, as a c - b^2 would cancel."""
+    (x, y), (a, b, c) = splats.means.T, splats.covs.T
+    reach, det_over_c = splats.reach, 0.5 / splats.whitening[:, 0] ** 2
     return Ellipses(
         x=x,
         y=y,
-        bottom=np.sqrt(reach * c),
-        summit=b * np.sqrt(reach / a),
+        bottom=jnp.sqrt(reach * c),
+        summit=b * jnp.sqrt(reach / a),
         slope=b / c,
         width=reach * det_over_c,
         taper=det_over_c / c,
@@ -232,20 +245,9 @@ def _ellipses(splats: Splats, order: np.ndarray) -> Ellipses:
 
 def _tile_range(low: np.ndarray, high: np.ndarray, tiles: int) -> tuple[np.ndarray, np.ndarray]:
     """First tile whose pixel centres [8 t + 0.5, 8 t + 7.5] meet [low, high], and how many do."""
-    first = np.clip(np.ceil((low - (TILE - 0.5)) / TILE), 0, tiles).astype(np.int64)
-    last = np.clip(np.floor((high - 0.5) / TILE), -1, tiles - 1).astype(np.int64)
+    first = np.clip(np.ceil((low - (TILE - 0.5)) / TILE), 0, tiles).astype(np.int32)
+    last = np.clip(np.floor((high - 0.5) / TILE), -1, tiles - 1).astype(np.int32)
     return first, np.maximum(last - first + 1, 0)
-
-
-def _packed(first: np.ndarray, lengths: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """Keys of (first, index), (first + 1, index), ... for every range and its index."""
-    ends = np.cumsum(lengths)
-    starts = (first - (ends - lengths)) * UNIT + index
-    return np.repeat(starts, lengths) + np.arange(ends[-1] if len(ends) else 0) * UNIT
-
-
-def _unpacked(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    return keys >> 32, keys & (UNIT - 1)
 
 
 def _cut(ellipses: Ellipses, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

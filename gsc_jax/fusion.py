@@ -49,6 +49,10 @@ def fused(
 ) -> tuple[np.ndarray, float]:
     """The probability of each Gaussian to be tampered, and the verdict, by masks and prior.
 
+    Either may be right or not, independently: with the probability `shown` the masks show an edit,
+    with that of its verdict the prior does. Where only one is right it is believed, where both are,
+    both alike; where neither is, the masks, for want of better.
+
     The verdict counts what the prior says for an edit; an edit need not show there, so what it says
     against one is no evidence.
 
@@ -69,8 +73,8 @@ def fused(
         raise ValueError(
             f"the prior speaks of {len(prior.probability)} Gaussians, expected {len(probability)}"
         )
-    doubt = np.where(seen, 1 - shown, 1.0)
-    share = weight * prior.verdict * doubt * prior.known
+    alone = np.where(seen, 1 - shown, 1.0)
+    share = weight * prior.verdict * (alone + (1 - alone) / 2) * prior.known
     certain = both(shown, weight * max(float(log_odds_of(prior.verdict)), 0.0))
     return pooled(probability, prior.probability, share), certain
 

@@ -45,8 +45,8 @@ def test_who_alone_counts_is_believed(one, other):
 def test_each_counts_as_far_as_it_is_sure():
     masks, own = np.array([0.9, 0.9, 0.1], np.float32), np.array([0.1, 0.9, 0.9], np.float32)
     known = np.array([True, True, True])
-    for shown, verdict in ((0.3, 0.4), (0.9, 0.9), (0.2, 0.95)):
-        share = (1 - shown) * verdict
+    for shown, verdict in ((0.3, 0.4), (0.9, 0.9), (0.2, 0.95), (0.9, 1.0)):
+        share = (1 - shown / 2) * verdict
         told, _ = fused(masks, shown, known, prior(own, verdict, known))
         np.testing.assert_allclose(told, (1 - share) * masks + share * own, rtol=1e-6)
         half, _ = fused(masks, shown, known, prior(own, verdict, known), 0.5)
@@ -57,7 +57,7 @@ def test_masks_say_nothing_of_the_unseen_and_the_prior_nothing_of_the_unknown():
     masks, own = np.array([0, 1, 1], np.float32), np.array([1, 0, 0], np.float32)
     seen, known = np.array([False, True, True]), np.array([True, True, False])
     told, _ = fused(masks, 0.8, seen, prior(own, 0.75, known))
-    np.testing.assert_allclose(told, [0.75, 1 - 0.2 * 0.75, 1], rtol=1e-6)
+    np.testing.assert_allclose(told, [0.75, 1 - 0.6 * 0.75, 1], rtol=1e-6)
 
 
 @given(UNIT, UNIT, UNIT)

@@ -4,8 +4,8 @@
 
 One edit of each scene. Each failure of the detector grows alone, up to an extreme; the views that
 are missed, inverted or flagged wrongly at one strength are so at all greater ones (blobs are drawn
-anew). SA3D's gate is left out, since it renders twice per view and strength, and `robust, rendered`,
-which is `robust` once more. The degenerate cases are of the made room.
+anew). SA3D's gate is left out, since it renders twice per view and strength, and what is `robust`
+once more. The degenerate cases are of the made room.
 """
 
 import dataclasses

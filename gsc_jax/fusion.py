@@ -17,7 +17,8 @@ class Prior:
     """What is known without the masks.
 
     Attributes:
-        probability: That a Gaussian is tampered, if anything is, shape (N,) in [0, 1].
+        probability: That a Gaussian is tampered, if anything is, shape (N,) in [0, 1], also where
+            nothing is known.
         verdict: Probability that anything is.
         known: Gaussians of which it says something, shape (N,) bool.
 
@@ -31,16 +32,18 @@ class Prior:
 
     def __post_init__(self) -> None:
         """Refuse what would spoil every Gaussian."""
-        given = np.append(self.probability, self.verdict)
-        if not ((given >= 0) & (given <= 1)).all():
+        if not 0 <= self.verdict <= 1:
+            raise ValueError(f"verdict must be in [0, 1], got {self.verdict}")
+        within = (self.probability >= 0) & (self.probability <= 1)
+        if not within.all():
+            row = int(np.argmin(within))
             raise ValueError(
-                "a prior has probabilities and a verdict in [0, 1], got "
-                f"{np.min(given):g} to {np.max(given):g}"
+                f"probability must be in [0, 1], got {self.probability[row]} in row {row}"
             )
-        if np.shape(self.known) != np.shape(self.probability) or np.ndim(self.known) != 1:
+        if self.known.dtype != bool or self.known.shape != self.probability.shape:
             raise ValueError(
-                "a prior speaks of as many Gaussians as it knows, got shapes "
-                f"{np.shape(self.probability)} and {np.shape(self.known)}"
+                f"known must be bool, of the shape {self.probability.shape} of probability, got "
+                f"{self.known.dtype} {self.known.shape}"
             )
 
 

@@ -161,7 +161,12 @@ def _asked(
     progress: Progress,
 ) -> Native | None:
     """What the Gaussians themselves say, where the method has a use for it."""
-    if not isinstance(config, RobustConfig) or not native or config.native == 0:
+    if not isinstance(native, Native | bool):
+        raise ValueError(
+            "native must be True, False or what native_evidence said, got "
+            f"{type(native).__name__}; `method.find` takes any prior"
+        )
+    if not isinstance(config, RobustConfig) or native is False or config.native == 0:
         return None
     if isinstance(native, Native):
         if len(native.known) != len(gaussians):

@@ -142,20 +142,24 @@ def find_robust(
     Raises:
         ValueError: if the prior speaks of another number of Gaussians.
     """
+    prior = prior if config.native > 0 else None
     clear, views = undisputed(evidence), float(np.shape(evidence.total)[0])
     if clear and (prior is None or evidence.says_everything):
         return dataclasses.replace(clear, verdict=verdict(float(clear.labels.any()), views))
     found = _nothing(evidence.seen) if clear else estimate(evidence, means, config)
     probability, known = found.probability, found.seen
     # What no Gaussian is found in speaks for nothing, however often it was flagged.
-    roles = found.roles if found.agreed.any() else None
-    certain = shown = verdict(roles.rate, roles.views) if roles else verdict(0.0, views)
-    if prior is not None and config.native > 0:
+    lifted = found.roles if found.agreed.any() else None
+    certain = shown = verdict(lifted.rate, lifted.views) if lifted else verdict(0.0, views)
+    if prior is not None:
         probability, certain = fused(probability, shown, found.seen, prior, config.native)
         known = found.seen | prior.known
     believed = certain >= config.doubt
     labels = (probability > config.threshold) & believed
-    said = doubts(found.agreed, found.roles, labels, shown, certain)
+    worth = ()
+    if found.roles and labels.any():
+        worth = reliability_of(evidence, labels, found.roles.inverted)
+    said = doubts(found.agreed, found.roles, labels, (shown, certain), prior)
     if clear:
         said = [NOTHING + OWN * bool(labels.any())]
     return Finding(
@@ -164,7 +168,7 @@ def find_robust(
         labels=labels,
         group_sizes=np.zeros((0, 3), np.int32),
         verdict=certain,
-        reliability=reliability_of(roles) if roles and (found.agreed & labels).any() else (),
+        reliability=worth,
         warnings=said,
     )
 

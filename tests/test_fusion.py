@@ -78,15 +78,17 @@ def test_odds_of_independent_evidence_multiply(certain, log_odds):
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"probability": np.full(5, np.nan)},
+        {"probability": np.append(np.zeros(4), np.nan)},
         {"probability": np.full(5, 1.5)},
         {"verdict": np.nan},
         {"verdict": -0.1},
         {"known": np.ones(4, bool)},
+        {"known": np.arange(5)},
     ],
 )
 def test_what_is_no_prior_is_refused(wrong):
-    with pytest.raises(ValueError, match="a prior"):
+    (name,) = wrong
+    with pytest.raises(ValueError, match=f"^{name} must be"):
         dataclasses.replace(prior(np.zeros(5), 0.5), **wrong)
 
 

@@ -53,7 +53,7 @@ def test_true_masks_find_the_tampered_gaussians(method):
         assert overlap > 0.9, f"the mask of {name} does not show the tampered region"
     assert result.tamper.dtype == np.float32
     assert result.tamper.min() >= 0
-    assert result.tamper.max() == pytest.approx(1, abs=1e-2)
+    assert 0.9 < result.tamper.max() <= 1
     assert not result.labels[BEHIND], "a Gaussian that no view sees was found tampered"
 
 

@@ -258,6 +258,12 @@ def test_both_kinds_of_evidence_make_the_verdict():
     assert verdicts[1] == pytest.approx(plain)
 
 
+def test_what_is_no_evidence_is_refused():
+    prior = said(np.zeros(6_000), 0.5).prior
+    with pytest.raises(ValueError, match="got Prior"):
+        locate(SAVED, MADE.cameras, None, native=prior)  # pyright: ignore[reportArgumentType]
+
+
 def test_evidence_of_another_scene_is_refused():
     with pytest.raises(ValueError, match="speaks of 3 Gaussians"):
         locate(SAVED, MADE.cameras, None, native=said(np.zeros(3), 0.5))

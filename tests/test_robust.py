@@ -292,8 +292,10 @@ def test_the_gaussians_are_believed_as_far_as_the_masks_are_not(views, verdict, 
     assert np.array_equal(found.labels[~seen], TRUE[~seen] & (verdict > 0.5))
     assert found.verdict is not None
     assert found.verdict >= verdict_of(decoy_in(views))
-    assert bool(found.reliability) == decoy, "what masks are worth in finding something else"
-    assert any("not labelled" in said for said in found.warnings) != decoy
+    worth = "finds" if decoy else "misses"
+    assert set(found.reliability[:views]) == {worth}, "what masks are worth in finding what is"
+    overruled = "stand out" if decoy else "the masks agree on are not labelled"
+    assert any(overruled in said for said in found.warnings) == (verdict > 0.5)
 
 
 def test_what_no_view_flags_the_gaussians_may_name():

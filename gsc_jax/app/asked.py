@@ -142,7 +142,7 @@ def _detector(options: Locate, native: bool) -> tuple[Detector | None, Interrupt
         raise InputError(
             f"--method {options.method}{nobody}: nothing to go by; give the masks of a 2D detector "
             "(--masks DIR), the detector itself (--detector MODEL.onnx), or ask the Gaussians "
-            "(--method robust --detector native)"
+            "(--method robust --detector native, and no config.native = 0 in --config)"
         )
     return None, None
 

@@ -21,6 +21,7 @@ class Prior:
             nothing is known.
         verdict: Probability that anything is.
         known: Gaussians of which it says something, shape (N,) bool.
+        exact: Whether it tells exactly which are tampered; then masks do not overrule it.
 
     Raises:
         ValueError: if that is not what they are.
@@ -29,6 +30,7 @@ class Prior:
     probability: np.ndarray
     verdict: float
     known: np.ndarray
+    exact: bool = False
 
     def __post_init__(self) -> None:
         """Refuse what would spoil every Gaussian."""
@@ -53,8 +55,8 @@ def fused(
     """The probability of each Gaussian to be tampered, and the verdict, by masks and prior.
 
     Either may be right or not, independently: with the probability `shown` the masks show an edit,
-    with that of its verdict the prior does. Where only one is right it is believed, where both are,
-    both alike; where neither is, the masks, for want of better.
+    with that of its verdict the prior does. Where only one is right it is believed; where both are,
+    the masks, or both alike if the prior is exact; where neither is, the masks for want of better.
 
     The verdict counts what the prior says for an edit; an edit need not show there, so what it says
     against one is no evidence.
@@ -77,7 +79,8 @@ def fused(
             f"the prior speaks of {len(prior.probability)} Gaussians, expected {len(probability)}"
         )
     alone = np.where(seen, 1 - shown, 1.0)
-    share = weight * prior.verdict * (alone + (1 - alone) / 2) * prior.known
+    beside = (1 - alone) / 2 if prior.exact else 0.0
+    share = weight * prior.verdict * (alone + beside) * prior.known
     certain = both(shown, weight * max(float(log_odds_of(prior.verdict)), 0.0))
     return pooled(probability, prior.probability, share), certain
 

@@ -61,7 +61,13 @@ class Native:
     @property
     def prior(self) -> Prior:
         """What this is to the robust estimator."""
-        return Prior(probability=_tamper(self), verdict=self.verdict, known=self.known)
+        own = _tamper(self)
+        return Prior(
+            probability=own,
+            verdict=self.verdict,
+            known=self.known,
+            exact=_named_exactly(own > 0.5, self.traces),
+        )
 
     @property
     def without_traces(self) -> "Native":
@@ -160,6 +166,12 @@ def _apart(native: Native) -> np.ndarray:
 def _tamper(native: Native) -> np.ndarray:
     """How likely each Gaussian is tampered, given that something is, (N,)."""
     return np.where(native.known, jax.nn.sigmoid(_apart(native)), 0).astype(np.float32)
+
+
+def _named_exactly(labels: np.ndarray, found: Sequence[Trace]) -> bool:
+    """Whether most is labelled for a trace that tells which: of copies either may be the edit."""
+    telling = [trace for trace in found if trace.found and trace.name != "copied"]
+    return bool(telling) and bool((combined(telling) > 0.5)[labels].mean() > 0.5)
 
 
 def level_of(native: Native) -> float:

@@ -42,22 +42,24 @@ def test_who_alone_counts_is_believed(one, other):
     np.testing.assert_array_equal(pooled(one, other, np.ones(5)), other)
 
 
-def test_each_counts_as_far_as_it_is_sure():
+@pytest.mark.parametrize("exact", [False, True])
+@pytest.mark.parametrize(("shown", "verdict"), [(0.3, 0.4), (0.9, 0.9), (0.2, 0.95), (0.9, 1.0)])
+def test_each_counts_as_far_as_it_is_sure(exact, shown, verdict):
     masks, own = np.array([0.9, 0.9, 0.1], np.float32), np.array([0.1, 0.9, 0.9], np.float32)
-    known = np.array([True, True, True])
-    for shown, verdict in ((0.3, 0.4), (0.9, 0.9), (0.2, 0.95), (0.9, 1.0)):
-        share = (1 - shown / 2) * verdict
-        told, _ = fused(masks, shown, known, prior(own, verdict, known))
-        np.testing.assert_allclose(told, (1 - share) * masks + share * own, rtol=1e-6)
-        half, _ = fused(masks, shown, known, prior(own, verdict, known), 0.5)
-        np.testing.assert_allclose(half, (1 - share / 2) * masks + share / 2 * own, rtol=1e-6)
+    known = np.ones(3, bool)
+    given = Prior(probability=own, verdict=verdict, known=known, exact=exact)
+    share = (1 - shown + exact * shown / 2) * verdict
+    for weight in (1.0, 0.5):
+        told, _ = fused(masks, shown, known, given, weight)
+        expected = (1 - weight * share) * masks + weight * share * own
+        np.testing.assert_allclose(told, expected, rtol=1e-6)
 
 
 def test_masks_say_nothing_of_the_unseen_and_the_prior_nothing_of_the_unknown():
     masks, own = np.array([0, 1, 1], np.float32), np.array([1, 0, 0], np.float32)
     seen, known = np.array([False, True, True]), np.array([True, True, False])
     told, _ = fused(masks, 0.8, seen, prior(own, 0.75, known))
-    np.testing.assert_allclose(told, [0.75, 1 - 0.6 * 0.75, 1], rtol=1e-6)
+    np.testing.assert_allclose(told, [0.75, 1 - 0.2 * 0.75, 1], rtol=1e-6)
 
 
 @given(UNIT, UNIT, UNIT)

@@ -103,12 +103,14 @@ def test_odds_are_bounded():
     assert np.abs(told.log_odds).max() <= SURE
 
 
-def asked(learned, *, verdict: float = 0.9, traced: tuple[int, ...] = ()) -> Native:
+def asked(
+    learned, *, verdict: float = 0.9, traced: tuple[int, ...] = (), name: str = "copied"
+) -> Native:
     """What Gaussians say whose worst part has log odds of 7, if traces name some of them."""
     learned = np.asarray(learned, np.float32)
     score = np.zeros(len(learned), np.float32)
     score[list(traced)] = 0.999
-    traces = (Trace(name="copied", score=score, explanation="some"),) if traced else ()
+    traces = (Trace(name=name, score=score, explanation="some"),) if traced else ()
     return Native(
         known=np.ones(len(learned), bool),
         learned=learned,
@@ -128,6 +130,7 @@ def test_a_trace_alone_is_enough_and_more_than_even_odds_are_asked_of_the_rest()
     np.testing.assert_allclose(found.attribute, native.log_odds - BESIDE, atol=1e-5)
     assert native.prior.verdict == pytest.approx(0.999)
     np.testing.assert_array_equal(native.prior.probability, found.tamper)
+    assert not native.prior.exact, "either may be the copy"
     assert not native.without_traces.traces
 
 
@@ -160,6 +163,12 @@ def test_traces_that_name_little_of_what_stands_apart_do_not_name_the_edit():
     most = find_native(asked(log_odds, traced=tuple(range(-1_500, 0)))).labels
     assert most[-1_500:].all()
     assert most[-2_000:-1_500].mean() < 0.9
+
+
+@pytest.mark.parametrize(("named", "exact"), [(1_500, True), (100, False)])
+def test_a_trace_that_names_most_of_an_edit_names_it_exactly(named, exact):
+    native = asked(split(1, 2_000), traced=tuple(range(-named, 0)), name="lattice")
+    assert native.prior.exact == exact
 
 
 def test_rows_of_which_nothing_is_known_do_not_move_the_level():

@@ -282,11 +282,19 @@ def knowing(verdict: float) -> Prior:
 
 
 @pytest.mark.parametrize(
-    ("views", "verdict", "decoy"),
-    [(4, 0.9999, False), (11, 0.9999, False), (11, 0.9, True), (4, 0.3, True), (6, 0.8, False)],
+    ("views", "verdict", "exact", "decoy"),
+    [
+        (4, 0.9999, False, False),
+        (4, 0.3, False, True),
+        (6, 0.95, False, False),
+        (11, 0.9999, False, True),
+        (11, 0.9999, True, False),
+        (11, 0.9, True, True),
+    ],
 )
-def test_the_gaussians_are_believed_as_far_as_the_masks_are_not(views, verdict, decoy):
-    found = find_robust(decoy_in(views), MEANS, CONFIG, knowing(verdict))
+def test_the_gaussians_are_believed_as_far_as_the_masks_are_not(views, verdict, exact, decoy):
+    """What few views flag is a decoy; what nearly all flag is something."""
+    found = find_robust(decoy_in(views), MEANS, CONFIG, knowing(verdict, exact=exact))
     seen, expected = TOTAL.sum(axis=0) > 0, KINDS == DECOY if decoy else TRUE
     assert np.array_equal(found.labels[seen], expected[seen])
     assert np.array_equal(found.labels[~seen], TRUE[~seen] & (verdict > 0.5))

@@ -276,9 +276,10 @@ def decoy_in(views: int) -> Evidence:
     return masked(flagged)
 
 
-def knowing(verdict: float) -> Prior:
+def knowing(verdict: float, *, exact: bool = False) -> Prior:
     """What the Gaussians say where they know the truth."""
-    return Prior(probability=np.where(TRUE, 0.99, 0.0), verdict=verdict, known=np.ones(COUNT, bool))
+    own, known = np.where(TRUE, 0.99, 0.0), np.ones(COUNT, bool)
+    return Prior(probability=own, verdict=verdict, known=known, exact=exact)
 
 
 @pytest.mark.parametrize(

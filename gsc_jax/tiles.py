@@ -173,11 +173,11 @@ def bin_splats(splats: Splats, width: int, height: int) -> TileLists:
     """
     columns, rows = -(-width // TILE), -(-height // TILE)
     order = _front_to_back(np.asarray(splats.depths), np.asarray(splats.visible))
-    ellipses = Ellipses(*(np.asarray(column) for column in _ellipses(splats)))
+    ellipses = jax.tree.map(np.asarray, _ellipses(splats))
     y, bottom = ellipses.y.take(order), ellipses.bottom.take(order)
     first, lengths = _tile_range(y - bottom, y + bottom, rows)
     row, owner = _expanded(first, lengths), np.repeat(order, lengths)
-    left, right = _cut(Ellipses(*(column.take(owner) for column in ellipses)), row)
+    left, right = _cut(jax.tree.map(lambda column: column.take(owner), ellipses), row)
     first, lengths = _tile_range(left, right, columns)
     cuts, bounds = _by_tile(row * columns + first, lengths, rows * columns)
     return TileLists(ids=owner.take(cuts), starts=bounds[:-1], counts=np.diff(bounds))

@@ -171,7 +171,7 @@ def _tamper(native: Native) -> np.ndarray:
 def _named_exactly(labels: np.ndarray, found: Sequence[Trace]) -> bool:
     """Whether most is labelled for a trace that tells which: of copies either may be the edit."""
     telling = [trace for trace in found if trace.found and trace.name != "copied"]
-    return bool(telling) and bool((combined(telling) > 0.5)[labels].mean() > 0.5)
+    return bool(telling) and bool(2 * (labels & (combined(telling) > 0.5)).sum() > labels.sum())
 
 
 def level_of(native: Native) -> float:

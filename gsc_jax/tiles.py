@@ -229,9 +229,15 @@ class Ellipses(NamedTuple):
 
 @jax.jit
 def _ellipses(splats: Splats) -> Ellipses:
-    """The ellipses of all splats: with det / c from the whitening, as a c - b^2 would cancel."""
-    (x, y), (a, b, c) = splats.means.T, splats.covs.T
-    reach, det_over_c = splats.reach, 0.5 / splats.whitening[:, 0] ** 2
+    """The ellipses of all splats: with det / c from the whitening, as a c - b^2 would cancel.
+
+    Those that are not visible get ones, of which no division makes NaN.
+    """
+    (x, y), (a, b, c), (steep, _, _), reach = (
+        jnp.where(splats.visible, leaf.T, 1.0)
+        for leaf in (splats.means, splats.covs, splats.whitening, splats.reach)
+    )
+    det_over_c = 0.5 / steep**2
     return Ellipses(
         x=x,
         y=y,

@@ -324,6 +324,14 @@ def test_what_is_labelled_without_the_masks_is_counted():
     assert np.array_equal(found.labels, TRUE)
     more = (TRUE & ~masks[0]).sum()
     assert any(said.startswith(f"{more} of {TRUE.sum()} labelled") for said in found.warnings)
+    assert (found.attribute[TRUE] > 0).all()
+
+
+def test_a_view_that_shows_nothing_of_what_is_labelled_does_not_miss_it():
+    away = TOTAL.copy()
+    away[0, TRUE] = 0
+    found = find_robust(masked(np.tile(TRUE, (VIEWS, 1)), away), MEANS, CONFIG, knowing(0.9))
+    assert found.reliability == ("unseen", *["finds"] * (VIEWS - 1))
 
 
 def test_a_prior_without_weight_has_no_say():

@@ -8,7 +8,6 @@ The loop ends early, so JAX cannot reverse through it; `composite` is given `acc
 backward pass instead, with respect to the features only: the method never moves a Gaussian.
 """
 
-import math
 from collections.abc import Callable
 from typing import Any
 
@@ -23,7 +22,6 @@ from gsc_jax.tiles import TILE, View, make_view
 MAX_ALPHA = 0.99
 MIN_TRANSMITTANCE = 1e-4
 """A pixel stops before its transmittance would fall below this."""
-LOG_MIN_ALPHA = math.log(MIN_ALPHA)
 CHUNK = 8
 """Splats per step of the lockstep loop: in longer chunks the cumulative product costs more than its
 share, in shorter ones the launch of every operation does."""
@@ -41,13 +39,15 @@ def alpha_at(splat: jax.Array, pixel: jax.Array) -> jax.Array:
     """
     dx, dy = pixel[0] - splat[0], pixel[1] - splat[1]
     sigma = (splat[2] * dx + splat[3] * dy) ** 2 + (splat[4] * dy) ** 2
-    log_alpha = splat[5] - sigma
-    alpha = jnp.minimum(MAX_ALPHA, jnp.exp(log_alpha))
-    return jnp.where(log_alpha >= LOG_MIN_ALPHA, alpha, 0.0)
+    alpha = jnp.exp(splat[5] - sigma)
+    return jnp.where(alpha >= MIN_ALPHA, jnp.minimum(MAX_ALPHA, alpha), 0.0)
 
 
 def blend_pixel(transmittance: jax.Array, alphas: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Blending weights of the next splats of one pixel, front to back.
+    """Blending weights of the next splats of one pixel, front to back: the light each takes away.
+
+    alpha_i prod_{j<i} (1 - alpha_j) is the difference of two neighbouring products. It is 0 exactly
+    where alpha is, as long as it is taken before anything is multiplied to it.
 
     Args:
         transmittance: What is left of the light, scalar; below 1e-4 once the pixel has stopped.
@@ -56,9 +56,10 @@ def blend_pixel(transmittance: jax.Array, alphas: jax.Array) -> tuple[jax.Array,
     Returns:
         Weights W_pi of these splats, shape (C,), and the transmittance behind the last one.
     """
-    behind = transmittance * jnp.cumprod(1.0 - alphas)
-    weights = behind * (alphas / (1.0 - alphas))
-    return jnp.where(behind >= MIN_TRANSMITTANCE, weights, 0.0), behind[-1]
+    through = jnp.cumprod(1.0 - alphas)
+    before = jnp.concatenate([jnp.ones(1), through[:-1]])
+    stays = transmittance * through >= MIN_TRANSMITTANCE
+    return jnp.where(stays, transmittance * (before - through), 0.0), transmittance * through[-1]
 
 
 # With the pixels as the last axis, (tiles, splats, pixels), XLA vectorises over them on a CPU; with
@@ -89,7 +90,7 @@ def _walk(view: View, group: tuple[Array, ...], visit: Callable, carry: Any) -> 
 
     def unfinished(state):
         step, transmittance, _ = state
-        return (step * CHUNK < counts[0]) & jnp.any(transmittance >= MIN_TRANSMITTANCE)
+        return (step * CHUNK < counts[0]) & (jnp.max(transmittance) >= MIN_TRANSMITTANCE)
 
     start = (jnp.int32(0), jnp.ones(pixels.shape[:2]), carry)
     return jax.lax.while_loop(unfinished, advance, start)[2]

@@ -84,13 +84,14 @@ def make_view(
 
 def bin_view(splats: Splats, camera: Camera, *, lockstep: int | None = None) -> View:
     """Bin projected Gaussians: the second half of `make_view`, with the same arguments."""
+    table = _table(splats)
     lists = bin_splats(splats, camera.width, camera.height)
     if lockstep is None:
         cpu = int(np.clip(len(lists.counts) // MIN_GROUPS, MIN_LOCKSTEP, CPU_LOCKSTEP))
         lockstep = cpu if jax.default_backend() == "cpu" else len(lists.counts)
     lockstep = min(lockstep, len(lists.counts))
     return View(
-        splats=_table(splats),
+        splats=table,
         ids=jnp.asarray(_padded(lists.ids)),
         width=camera.width,
         height=camera.height,
@@ -172,15 +173,16 @@ def bin_splats(splats: Splats, width: int, height: int) -> TileLists:
         The lists of the ceil(width / 8) * ceil(height / 8) tiles, row by row.
     """
     columns, rows = -(-width // TILE), -(-height // TILE)
+    ellipses = _ellipses(splats)
     order = _front_to_back(np.asarray(splats.depths), np.asarray(splats.visible))
-    ellipses = jax.tree.map(np.asarray, _ellipses(splats))
-    y, bottom = ellipses.y.take(order), ellipses.bottom.take(order)
-    first, lengths = _tile_range(y - bottom, y + bottom, rows)
-    row, owner = _expanded(first, lengths), np.repeat(order, lengths)
+    ellipses = jax.tree.map(lambda column: np.asarray(column).take(order), ellipses)
+    first, heights = _tile_range(ellipses.y - ellipses.bottom, ellipses.y + ellipses.bottom, rows)
+    row, owner = _expanded(first, heights), np.repeat(np.arange(len(order)), heights)
     left, right = _cut(jax.tree.map(lambda column: column.take(owner), ellipses), row)
-    first, lengths = _tile_range(left, right, columns)
-    cuts, bounds = _by_tile(row * columns + first, lengths, rows * columns)
-    return TileLists(ids=owner.take(cuts), starts=bounds[:-1], counts=np.diff(bounds))
+    first, widths = _tile_range(left, right, columns)
+    covered = _expanded(row * columns + first, widths)
+    places, bounds = _by_tile(covered, _ends(widths).take(_ends(heights)), rows * columns)
+    return TileLists(ids=order.take(places), starts=bounds[:-1], counts=np.diff(bounds))
 
 
 def _front_to_back(depths: np.ndarray, visible: np.ndarray) -> np.ndarray:
@@ -191,24 +193,26 @@ def _front_to_back(depths: np.ndarray, visible: np.ndarray) -> np.ndarray:
     return keys.astype(np.int32)
 
 
+def _ends(lengths: np.ndarray) -> np.ndarray:
+    """Where each of the ranges begins when they lie one after the other, and where the last ends."""
+    return np.append(np.int32(0), np.cumsum(lengths, dtype=np.int32))
+
+
 def _expanded(first: np.ndarray, lengths: np.ndarray) -> np.ndarray:
     """The numbers first, first + 1, ... of every range, one range after the other."""
-    ends = np.cumsum(lengths, dtype=np.int32)
-    count = ends[-1] if len(ends) else 0
-    return np.repeat(first - (ends - lengths), lengths) + np.arange(count, dtype=np.int32)
+    ends = _ends(lengths)
+    return np.repeat(first - ends[:-1], lengths) + np.arange(ends[-1], dtype=np.int32)
 
 
-def _by_tile(first: np.ndarray, lengths: np.ndarray, tiles: int) -> tuple[np.ndarray, np.ndarray]:
-    """Which ranges of tiles cover each tile, in their order, and where each of these lists begins.
+def _by_tile(covered: np.ndarray, ends: np.ndarray, tiles: int) -> tuple[np.ndarray, np.ndarray]:
+    """Which splats cover each tile, in their order, and where each of these lists begins.
 
-    One row of a sparse matrix per range: its transposition counts, and goes through them once.
+    A splat is a row of a sparse matrix: its transposition counts, and goes through the rows once.
     """
     from scipy.sparse import csr_array
 
-    covered = _expanded(first, lengths)
-    ends = np.append(np.int32(0), np.cumsum(lengths, dtype=np.int32))
     ones = np.ones(len(covered), np.int8)
-    by_tile = csr_array((ones, covered, ends), shape=(len(lengths), tiles)).tocsc()
+    by_tile = csr_array((ones, covered, ends), shape=(len(ends) - 1, tiles)).tocsc()
     return by_tile.indices, by_tile.indptr
 
 

@@ -271,6 +271,14 @@ def test_weights_are_shares_of_the_light(gaussians):
     assert alpha.max() <= 1 - 1e-4 + ROUNDING
 
 
+@given(scenes())
+def test_what_does_not_reach_a_pixel_has_no_share_of_it_at_all(gaussians):
+    blend = reference.blending(gaussians, VIEW)
+    shares = blend.composite(np.eye(len(gaussians)))
+    nothing = blend.clear[..., None] & (shares == 0)
+    assert (weights_of(gaussians)[nothing] == 0).all()
+
+
 @given(scenes(), st.permutations(range(COUNT)))
 def test_permuting_gaussians_permutes_the_columns_and_no_image(gaussians, order):
     permuted = gaussians.take(np.array(order))

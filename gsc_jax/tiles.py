@@ -194,7 +194,7 @@ def _front_to_back(depths: np.ndarray, visible: np.ndarray) -> np.ndarray:
 
 
 def _ends(lengths: np.ndarray) -> np.ndarray:
-    """Where each of the ranges begins when they lie one after the other, and where the last ends."""
+    """Where each range begins when they lie one after the other, and where the last ends."""
     return np.append(np.int32(0), np.cumsum(lengths, dtype=np.int32))
 
 

@@ -98,7 +98,8 @@ METHODS: Mapping[str, MethodConfig] = {
         loop=LoopConfig(per_feature=True),
     ),
 }
-"""The paper's equations over several epochs, and the schedule and definitions of its code."""
+"""The paper's equations over several epochs, and the schedule and definitions of its code; the
+estimator of this package is a `RobustConfig`."""
 
 Config = MethodConfig | RobustConfig
 CONFIGS: Mapping[str, Config] = {"robust": RobustConfig(), **METHODS}
@@ -127,13 +128,17 @@ def find(
         cameras: The cameras of the observation, in its order.
         observation: What they saw, from `observe`.
         config: Of the method.
-        prior: What is known without the masks; only `robust` has a use for it.
+        prior: What is known without the masks; only `robust` has a use for it, others warn.
 
     Returns:
         The finding. Where the attribute can say nothing, because no mask or every mask is full, it
         is defined and says so.
     """
-    return _find(Given(gaussians, cameras, observation, prior), config)
+    finding = _find(Given(gaussians, cameras, observation, prior), config)
+    if prior is None or isinstance(config, RobustConfig):
+        return finding
+    unused = f"The prior was not used: {config.name} goes by the masks alone."
+    return dataclasses.replace(finding, warnings=[*finding.warnings, unused])
 
 
 def sweep(

@@ -11,6 +11,7 @@ from gsc_jax import METHODS, InputError, locate, rendered_share
 from gsc_jax.benchmark.metrics import confusion
 from gsc_jax.detection import as_detector, fit_to_view
 from gsc_jax.detectors.folder import FolderDetector
+from gsc_jax.fusion import Prior
 from gsc_jax.locate import _disagreement
 from gsc_jax.loop import LoopConfig
 from gsc_jax.method import CONFIGS, find, sweep
@@ -138,6 +139,20 @@ def test_a_sweep_finds_what_each_configuration_finds_alone():
         assert np.array_equal(finding.attribute, alone.attribute)
         assert np.array_equal(finding.labels, alone.labels)
     assert not np.array_equal(found[0].attribute, found[1].attribute)
+
+
+@EVERY_METHOD
+def test_a_prior_is_used_or_it_is_said_that_it_was_not(method):
+    observation = observe(SCENE, cameras(), as_detector(truths()))
+    prior = Prior(
+        probability=np.where(TRUTH, 0.01, 0.99).astype(np.float32),
+        verdict=0.9,
+        known=np.ones(len(TRUTH), bool),
+    )
+    alone, told = (find(SCENE, cameras(), observation, CONFIGS[method], p) for p in (None, prior))
+    used = not np.array_equal(alone.attribute, told.attribute)
+    said = [warning for warning in told.warnings if "prior" in warning]
+    assert used == (method == "robust") == (not said)
 
 
 def test_the_result_says_which_method_made_it():

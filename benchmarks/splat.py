@@ -11,6 +11,7 @@ there), which is the limit. Before anything is timed, all must give the same pix
 
 import dataclasses
 import os
+from collections.abc import Callable
 
 import common
 import jax
@@ -26,6 +27,7 @@ from gsc_jax.splat import MAX_ALPHA, MIN_TRANSMITTANCE, accumulate, composite
 from gsc_jax.stages import peak_memory_mib
 from gsc_jax.tiles import TILE, View, bin_view, make_view
 
+Runs = dict[str, Callable[[], object]]
 STAGES = ("project", "bin", "composite", "accumulate", "whole view")
 
 
@@ -55,49 +57,78 @@ def main(options: Options) -> None:
     common.save("splat", rows)
 
 
-def measure(gaussians: Gaussians, camera: Camera, blend, repeats: int) -> dict:
+def measure(gaussians: Gaussians, camera: Camera, blend: limit.Blend | None, repeats: int) -> dict:
     """All times of one view, in seconds, and its pairs."""
     rgba = np.pad(colors(gaussians.sh, gaussians.means, camera.center), ((0, 0), (0, 1)))
     rgba = jax.device_put(rgba)
-    maps = jax.device_put(
-        np.random.default_rng(0).random((camera.height, camera.width, 2), np.float32)
-    )
+    shape = (camera.height, camera.width, 2)
+    maps = jax.device_put(np.random.default_rng(0).random(shape, np.float32))
     compile_time = common.seconds(lambda: accumulate(make_view(gaussians, camera), maps))
-    splats, plain_splats = project(gaussians, camera), plain.project(gaussians, camera)
-    view, plain_view = bin_view(splats, camera), plain.bin_splats(plain_splats, camera)
+    view = make_view(gaussians, camera)
+    plain_view = plain.bin_splats(plain.project(gaussians, camera), camera)
+    pairs = same_pixels(view, plain_view, rgba, blend)
+    runs = stages(gaussians, camera, rgba, maps) | plain_stages(gaussians, camera, rgba, maps)
+    if blend is not None:
+        runs["C composite, 1 core"] = lambda: blend(view, rgba)
+        runs["C composite, all cores"] = lambda: blend(view, rgba, threads=os.cpu_count() or 1)
+    return {
+        "gaussians": len(gaussians),
+        "width": camera.width,
+        "height": camera.height,
+        **pairs,
+        "first view with compilation": compile_time,
+        "NumPy composite": common.seconds(lambda: numpy_composite(view, np.asarray(rgba))),
+        **common.medians(runs, repeats),
+        "peak_mib": peak_memory_mib(),
+    }
+
+
+def same_pixels(
+    view: View, plain_view: plain.PlainView, rgba: jax.Array, blend: limit.Blend | None
+) -> dict[str, int]:
+    """How many pairs of pixel and Gaussian there are, once all variants give the same pixels."""
     image = composite(view, rgba)
     require_same(image, plain.composite(plain_view, rgba), "plain")
     require_same(image, numpy_composite(view, np.asarray(rgba)), "NumPy")
-    runs = {
+    listed = {
+        "listed": int(np.sum(view.counts)) * TILE**2,
+        "plain listed": int(np.sum(plain_view.counts)) * plain.TILE**2,
+    }
+    if blend is None:
+        return listed
+    counted = blend(view, rgba, counting=True)
+    require_same(image, counted.image, "C")
+    return {**listed, "evaluated": counted.evaluated, "needed": counted.needed}
+
+
+def stages(gaussians: Gaussians, camera: Camera, rgba: jax.Array, maps: jax.Array) -> Runs:
+    """Ours, stage by stage and as a whole."""
+    splats = project(gaussians, camera)
+    view = bin_view(splats, camera)
+    return {
         "project": lambda: project(gaussians, camera),
         "bin": lambda: bin_view(splats, camera),
         "composite": lambda: composite(view, rgba),
         "accumulate": lambda: accumulate(view, maps),
         "whole view": lambda: accumulate(make_view(gaussians, camera), maps),
-        "plain project": lambda: plain.project(gaussians, camera),
-        "plain bin": lambda: plain.bin_splats(plain_splats, camera),
-        "plain composite": lambda: plain.composite(plain_view, rgba),
-        "plain accumulate": lambda: plain.accumulate(plain_view, maps),
-        "plain whole view": lambda: plain.accumulate(
-            plain.bin_splats(plain.project(gaussians, camera), camera), maps
-        ),
     }
-    found = {"gaussians": len(gaussians), "width": camera.width, "height": camera.height}
-    if blend is not None:
-        counted = blend(view, rgba, counting=True)
-        require_same(image, counted.image, "C")
-        found |= {"evaluated": counted.evaluated, "needed": counted.needed}
-        runs["C composite, 1 core"] = lambda: blend(view, rgba)
-        runs["C composite, all cores"] = lambda: blend(view, rgba, threads=os.cpu_count() or 1)
-    numpy_time = common.seconds(lambda: numpy_composite(view, np.asarray(rgba)))
+
+
+def plain_stages(gaussians: Gaussians, camera: Camera, rgba: jax.Array, maps: jax.Array) -> Runs:
+    """The plain variant, stage by stage and as a whole."""
+    splats = plain.project(gaussians, camera)
+    view = plain.bin_splats(splats, camera)
+
+    def whole():
+        binned = plain.bin_splats(plain.project(gaussians, camera), camera)
+        return plain.accumulate(binned, maps)
+
     return {
-        **found,
-        "listed": int(np.sum(view.counts)) * TILE**2,
-        "plain listed": int(np.sum(plain_view.counts)) * plain.TILE**2,
-        "first view with compilation": compile_time,
-        "NumPy composite": numpy_time,
-        **common.medians(runs, repeats),
-        "peak_mib": peak_memory_mib(),
+        "plain project": lambda: plain.project(gaussians, camera),
+        "plain bin": lambda: plain.bin_splats(splats, camera),
+        "plain composite": lambda: plain.composite(view, rgba),
+        "plain accumulate": lambda: plain.accumulate(view, maps),
+        "plain whole view": whole,
     }
 
 

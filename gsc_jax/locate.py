@@ -110,21 +110,10 @@ def locate(
     warnings = [*check_views(gaussians, cameras, near=config.near), *_unusable(gaussians)]
     _check_names(cameras)
     gaussians = jax.tree.map(jnp.asarray, gaussians)
+    detector = None if detector is None else as_detector(detector)
     told = _asked(gaussians, native, config, stages, progress)
-    if detector is not None:
-        detector = as_detector(detector)
-        chosen = _select(detector, cameras, warnings)
-        config = settled(config, len(chosen))
-        look = _looked(gaussians, chosen, detector, told, config, stages, progress)
-    elif told is not None and isinstance(config, RobustConfig):
-        with stages("optimise"):
-            look = _Looked(finding=find_native(told, config=config), seen=told.known)
-    else:
-        raise ValueError(
-            f"{config.name} without a detector and without the Gaussians' own evidence has nothing "
-            "to go by; give a detector, or use `robust` with native=True"
-        )
-    finding = look.finding
+    look = _look(gaussians, cameras, detector, told, config, stages, progress)
+    finding, config = look.finding, look.config
     masks = _masks(gaussians, cameras, finding, config, stages, progress)
     return Result(
         tamper=finding.tamper,
@@ -146,6 +135,7 @@ def locate(
         seconds=stages.elapsed(),
         warnings=[
             *warnings,
+            *look.warnings,
             *finding.warnings,
             *([] if isinstance(config, RobustConfig) else _disagreement(look.flagged, masks)),
             *getattr(detector, "warnings", ()),
@@ -187,13 +177,40 @@ class _Looked:
 
     finding: Finding
     seen: np.ndarray
+    config: Config
     cameras: Sequence[Camera] = ()
     flagged: Mapping[str, np.ndarray] = dataclasses.field(default_factory=dict)
     detections: dict[str, np.ndarray] = dataclasses.field(default_factory=dict)
     effort: Effort | None = None
+    warnings: Sequence[str] = ()
 
 
-def _looked(
+def _look(
+    gaussians: Gaussians,
+    cameras: Sequence[Camera],
+    detector: Detector | None,
+    native: Native | None,
+    config: Config,
+    stages: Stages,
+    progress: Progress,
+) -> _Looked:
+    """Find what masks and Gaussians agree on, or what the Gaussians say alone."""
+    if detector is not None:
+        chosen, warnings = _select(detector, cameras)
+        config = settled(config, len(chosen))
+        look = _from_views(gaussians, chosen, detector, native, config, stages, progress)
+        return dataclasses.replace(look, warnings=warnings)
+    if native is not None and isinstance(config, RobustConfig):
+        with stages("optimise"):
+            finding = find_native(native, config=config)
+        return _Looked(finding=finding, seen=native.known, config=config)
+    raise ValueError(
+        f"{config.name} without a detector and without the Gaussians' own evidence has nothing "
+        "to go by; give a detector, or use `robust` with native=True"
+    )
+
+
+def _from_views(
     gaussians: Gaussians,
     cameras: list[Camera],
     detector: Detector,
@@ -202,7 +219,7 @@ def _looked(
     stages: Stages,
     progress: Progress,
 ) -> _Looked:
-    """Look from the cameras, and find what the detector's masks and the Gaussians agree on."""
+    """Look from the cameras, as many as it takes, and find what is tampered."""
     prior = None if native is None else native.prior
     effort = None
     # Masks that are there cost nothing; a network is asked for no more than it takes.
@@ -219,6 +236,7 @@ def _looked(
     return _Looked(
         finding=finding,
         seen=observation.evidence.seen,
+        config=config,
         cameras=cameras,
         flagged=observation.masks,
         detections=observation.detections,
@@ -288,13 +306,14 @@ def _check_names(cameras: Sequence[Camera]) -> None:
         raise InputError(f"Two cameras are called {twice[0]!r}; masks are kept by camera name.")
 
 
-def _select(detector: Detector, cameras: Sequence[Camera], warnings: list[str]) -> list[Camera]:
-    names = [camera.name for camera in cameras]
+def _select(detector: Detector, cameras: Sequence[Camera]) -> tuple[list[Camera], list[str]]:
+    """The cameras that the detector can judge, and a warning where that is not all."""
     chosen = detector.select(cameras)
-    if len(chosen) < len(cameras):
-        without = next(name for name in names if name not in {camera.name for camera in chosen})
-        warnings.append(
-            f"{len(cameras) - len(chosen)} of {len(cameras)} cameras have no mask and were not "
-            f"used to find anything (the first is {without!r})."
-        )
-    return chosen
+    if len(chosen) == len(cameras):
+        return chosen, []
+    judged = {camera.name for camera in chosen}
+    without = next(camera.name for camera in cameras if camera.name not in judged)
+    return chosen, [
+        f"{len(cameras) - len(chosen)} of {len(cameras)} cameras have no mask and were not used to "
+        f"find anything (the first is {without!r})."
+    ]

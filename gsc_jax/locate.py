@@ -156,7 +156,7 @@ def _asked(
             "native must be True, False or what native_evidence said, got "
             f"{type(native).__name__}; `method.find` takes any prior"
         )
-    if not isinstance(config, RobustConfig) or native is False or config.native == 0:
+    if native is False or (isinstance(config, RobustConfig) and config.native == 0):
         return None
     if isinstance(native, Native):
         if len(native.known) != len(gaussians):
@@ -164,6 +164,8 @@ def _asked(
                 f"native speaks of {len(native.known)} Gaussians, the scene has {len(gaussians)}"
             )
         return native
+    if not isinstance(config, RobustConfig):
+        return None
     progress("native", 0, 1)
     with stages("native"):
         told = native_evidence(gaussians)

@@ -98,8 +98,7 @@ METHODS: Mapping[str, MethodConfig] = {
         loop=LoopConfig(per_feature=True),
     ),
 }
-"""The paper's equations over several epochs, and the schedule and definitions of its code; the
-estimator of this package is a `RobustConfig`."""
+"""The paper's equations over several epochs, and the schedule and definitions of its code."""
 
 Config = MethodConfig | RobustConfig
 CONFIGS: Mapping[str, Config] = {"robust": RobustConfig(), **METHODS}
@@ -128,7 +127,8 @@ def find(
         cameras: The cameras of the observation, in its order.
         observation: What they saw, from `observe`.
         config: Of the method.
-        prior: What is known without the masks; only `robust` has a use for it, others warn.
+        prior: What is known without the masks; only `robust` has a use for it, and the
+            warnings of the others say so.
 
     Returns:
         The finding. Where the attribute can say nothing, because no mask or every mask is full, it
@@ -137,7 +137,7 @@ def find(
     finding = _find(Given(gaussians, cameras, observation, prior), config)
     if prior is None or isinstance(config, RobustConfig):
         return finding
-    unused = f"The prior was not used: {config.name} goes by the masks alone."
+    unused = f"What is known without the masks was not used: {config.name} goes by them alone."
     return dataclasses.replace(finding, warnings=[*finding.warnings, unused])
 
 

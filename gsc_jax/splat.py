@@ -46,8 +46,10 @@ def alpha_at(splat: jax.Array, pixel: jax.Array) -> jax.Array:
 def blend_pixel(transmittance: jax.Array, alphas: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Blending weights of the next splats of one pixel, front to back: the light each takes away.
 
-    alpha_i prod_{j<i} (1 - alpha_j) is the difference of two neighbouring products. It is 0 exactly
-    where alpha is, as long as it is taken before anything is multiplied to it.
+    alpha_i prod_{j<i} (1 - alpha_j) is the difference of two neighbouring products, right to a
+    rounding of the light: at alpha = 1/255 to 1e-5 of itself. It is exactly 0 where alpha is, for
+    the products are formed one factor after the other, and subtracted before the transmittance is
+    multiplied in.
 
     Args:
         transmittance: What is left of the light, scalar; below 1e-4 once the pixel has stopped.
@@ -57,7 +59,7 @@ def blend_pixel(transmittance: jax.Array, alphas: jax.Array) -> tuple[jax.Array,
         Weights W_pi of these splats, shape (C,), and the transmittance behind the last one.
     """
     through = jnp.cumprod(1.0 - alphas)
-    before = jnp.concatenate([jnp.ones(1), through[:-1]])
+    before = jnp.concatenate([jnp.ones_like(through[:1]), through[:-1]])
     stays = transmittance * through >= MIN_TRANSMITTANCE
     return jnp.where(stays, transmittance * (before - through), 0.0), transmittance * through[-1]
 
@@ -90,6 +92,7 @@ def _walk(view: View, group: tuple[Array, ...], visit: Callable, carry: Any) -> 
 
     def unfinished(state):
         step, transmittance, _ = state
+        # XLA finds the largest of them faster than whether any is large.
         return (step * CHUNK < counts[0]) & (jnp.max(transmittance) >= MIN_TRANSMITTANCE)
 
     start = (jnp.int32(0), jnp.ones(pixels.shape[:2]), carry)

@@ -17,6 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from gsc_jax.errors import InputError
 from gsc_jax.projection import NEAR, Splats, project
 from gsc_jax.scene import Array, Camera, Gaussians
 
@@ -84,7 +85,7 @@ def make_view(
 
 def bin_view(splats: Splats, camera: Camera, *, lockstep: int | None = None) -> View:
     """Bin projected Gaussians: the second half of `make_view`, with the same arguments."""
-    table = _table(splats)
+    table = _table(splats)  # computed while NumPy bins
     lists = bin_splats(splats, camera.width, camera.height)
     if lockstep is None:
         cpu = int(np.clip(len(lists.counts) // MIN_GROUPS, MIN_LOCKSTEP, CPU_LOCKSTEP))
@@ -171,9 +172,12 @@ def bin_splats(splats: Splats, width: int, height: int) -> TileLists:
 
     Returns:
         The lists of the ceil(width / 8) * ceil(height / 8) tiles, row by row.
+
+    Raises:
+        InputError: if there are 2^31 or more intersections.
     """
     columns, rows = -(-width // TILE), -(-height // TILE)
-    ellipses = _ellipses(splats)
+    ellipses = _ellipses(splats)  # computed while NumPy sorts
     order = _front_to_back(np.asarray(splats.depths), np.asarray(splats.visible))
     ellipses = jax.tree.map(lambda column: np.asarray(column).take(order), ellipses)
     first, heights = _tile_range(ellipses.y - ellipses.bottom, ellipses.y + ellipses.bottom, rows)
@@ -181,7 +185,8 @@ def bin_splats(splats: Splats, width: int, height: int) -> TileLists:
     left, right = _cut(jax.tree.map(lambda column: column.take(owner), ellipses), row)
     first, widths = _tile_range(left, right, columns)
     covered = _expanded(row * columns + first, widths)
-    places, bounds = _by_tile(covered, _ends(widths).take(_ends(heights)), rows * columns)
+    ends = _ends(widths).take(_ends(heights))  # of all the rows that a splat is cut into
+    places, bounds = _by_tile(covered, ends, rows * columns)
     return TileLists(ids=order.take(places), starts=bounds[:-1], counts=np.diff(bounds))
 
 
@@ -195,6 +200,12 @@ def _front_to_back(depths: np.ndarray, visible: np.ndarray) -> np.ndarray:
 
 def _ends(lengths: np.ndarray) -> np.ndarray:
     """Where each range begins when they lie one after the other, and where the last ends."""
+    total = int(lengths.sum(dtype=np.int64))
+    if total > np.iinfo(np.int32).max:
+        raise InputError(
+            f"The splats of one view touch {total:,} tiles, more than can be counted; are the "
+            "scales right? If so, ask for smaller images."
+        )
     return np.append(np.int32(0), np.cumsum(lengths, dtype=np.int32))
 
 
@@ -205,7 +216,7 @@ def _expanded(first: np.ndarray, lengths: np.ndarray) -> np.ndarray:
 
 
 def _by_tile(covered: np.ndarray, ends: np.ndarray, tiles: int) -> tuple[np.ndarray, np.ndarray]:
-    """Which splats cover each tile, in their order, and where each of these lists begins.
+    """The places in the order of depth of the splats that cover each tile, and where they begin.
 
     A splat is a row of a sparse matrix: its transposition counts, and goes through the rows once.
     """

@@ -15,6 +15,7 @@ from gsc_jax.fusion import Prior
 from gsc_jax.locate import _disagreement
 from gsc_jax.loop import LoopConfig
 from gsc_jax.method import CONFIGS, find, sweep
+from gsc_jax.native import native_evidence
 from gsc_jax.observe import observe
 from gsc_jax.scene import Camera
 
@@ -142,7 +143,7 @@ def test_a_sweep_finds_what_each_configuration_finds_alone():
 
 
 @EVERY_METHOD
-def test_a_prior_is_used_or_it_is_said_that_it_was_not(method):
+def test_a_prior_is_used_or_a_warning_says_that_it_was_not(method):
     observation = observe(SCENE, cameras(), as_detector(truths()))
     prior = Prior(
         probability=np.where(TRUTH, 0.01, 0.99).astype(np.float32),
@@ -151,8 +152,12 @@ def test_a_prior_is_used_or_it_is_said_that_it_was_not(method):
     )
     alone, told = (find(SCENE, cameras(), observation, CONFIGS[method], p) for p in (None, prior))
     used = not np.array_equal(alone.attribute, told.attribute)
-    said = [warning for warning in told.warnings if "prior" in warning]
-    assert used == (method == "robust") == (not said)
+    said = any("not used" in warning for warning in told.warnings)
+    assert used == (method == "robust"), "only robust has a use for a prior"
+    assert said == (not used), "what was not used was not said, or what was used was"
+    native = native_evidence(SCENE)
+    result = locate(SCENE, cameras(), truths(), method=method, native=native)
+    assert any("not used" in warning for warning in result.warnings) == (not used)
 
 
 def test_the_result_says_which_method_made_it():

@@ -24,7 +24,7 @@ from strategies import (
 from tolerances import ADJOINT, ROUNDING, assert_same_image, assert_same_sums
 
 import gsc_jax
-from gsc_jax.splat import accumulate, composite
+from gsc_jax.splat import CHUNK, accumulate, blend_pixel, composite
 from gsc_jax.tiles import make_view
 
 SIZES = [(1, 1), (15, 17), (33, 15), (17, 33)]
@@ -269,6 +269,21 @@ def test_weights_are_shares_of_the_light(gaussians):
     assert weights.min() >= 0
     assert weights.max() <= 0.99 * (1 + 1e-6)
     assert alpha.max() <= 1 - 1e-4 + ROUNDING
+
+
+def test_weights_are_exactly_zero_where_the_opacity_is_and_never_negative():
+    rng = np.random.default_rng(0)
+    alphas = rng.uniform(1 / 255, 0.99, (512, 64, CHUNK)).astype(np.float32) ** 2
+    alphas[rng.random(alphas.shape) < 0.5] = 0
+    light = rng.random((512, 64)).astype(np.float32)
+    weights, behind = jax.jit(jax.vmap(jax.vmap(blend_pixel)))(light, alphas)
+    assert (weights >= 0).all()
+    assert (weights == 0)[alphas == 0].all()
+    products = light[..., None] * np.cumprod(1.0 - alphas.astype(np.float64), axis=-1)
+    expected = np.where(products >= 1e-4, products / (1 - alphas) * alphas, 0)
+    clear = np.abs(products / 1e-4 - 1) > 1e-5
+    np.testing.assert_allclose(weights[clear], expected[clear], rtol=0, atol=2e-7)
+    np.testing.assert_allclose(behind, products[..., -1], rtol=1e-5)
 
 
 @given(scenes())

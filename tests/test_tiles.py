@@ -10,9 +10,10 @@ import pytest
 import reference
 from strategies import blobs, camera, random_scene
 
+from gsc_jax.errors import InputError
 from gsc_jax.projection import project
 from gsc_jax.splat import composite
-from gsc_jax.tiles import TILE, bin_splats, make_view, restricted
+from gsc_jax.tiles import TILE, _ends, bin_splats, make_view, restricted
 
 SIZES = [(1, 1), (15, 17), (33, 1), (17, 33), (64, 48)]
 MARGIN = 1e-3
@@ -159,3 +160,10 @@ def test_a_restricted_view_blends_the_wanted_splats_as_the_whole_one_does():
     everything = restricted(whole, np.ones(300, bool))
     for leaf, other in zip(jax.tree.leaves(everything), jax.tree.leaves(whole), strict=True):
         np.testing.assert_array_equal(leaf, other)
+
+
+def test_more_intersections_than_can_be_counted_are_one_clear_error():
+    widths = np.full(3, 2**30, np.int32)
+    with pytest.raises(InputError, match=r"touch 3,221,225,472 tiles.*scales"):
+        _ends(widths)
+    assert _ends(widths[:1]).tolist() == [0, 2**30]

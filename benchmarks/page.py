@@ -1,4 +1,4 @@
-"""Write the tables of `docs/performance.md` from `docs/performance.json`.
+"""Print the tables of `docs/performance.md`, and write them there, from `docs/performance.json`.
 
 python benchmarks/page.py
 """
@@ -17,8 +17,11 @@ def main() -> None:
     """Fill both sections."""
     parts = json.loads((common.DOCS / "performance.json").read_text())
     page = common.DOCS / "performance.md"
-    write_section(page, "splat", splat_table(parts["splat"]))
-    write_section(page, "pipeline", pipeline_list({k: v["values"] for k, v in parts.items()}))
+    table = splat_table(parts["splat"])
+    lines = pipeline_list({name: part["values"] for name, part in parts.items()})
+    write_section(page, "splat", table)
+    write_section(page, "pipeline", lines)
+    print(f"{table}\n\n{lines}")
 
 
 def splat_table(part: dict) -> str:
@@ -74,7 +77,7 @@ def pipeline_list(values: dict) -> str:
             f"process {cold['first view, cached']:.1f} s from the compilation cache.",
             f"- {sweep['configurations']} configurations on evidence of 24 views computed once: "
             f"{sweep['many']:.1f} s, after {sweep['observe']:.1f} s for the evidence; "
-            f"{sweep['ratio']:.1f} times one configuration.",
+            f"together {sweep['ratio']:.1f} times what evidence and one configuration take.",
             f"- Slope in log-log over the upper decade: {slopes['Gaussians']:.2f} against "
             f"Gaussians, {slopes['pixels']:.2f} against pixels.",
         ]

@@ -6,7 +6,7 @@ On every real scene (or the made room) and size, in one process and with interle
 the plain JAX variant (16 x 16 tiles, one at a time, `plain.py`); a vectorised NumPy loop over
 tiles; and a C loop over the same pairs of pixel and Gaussian (`limit.c`, where a compiler is
 there), which is the limit. Before anything is timed, all must give the same pixels. Writes
-`docs/performance.json`.
+`docs/performance.json`, unless other widths are asked for.
 """
 
 import dataclasses
@@ -54,7 +54,8 @@ def main(options: Options) -> None:
             camera = cameras[options.view].resized(width, width * 3 // 4)
             rows.append({"scene": name, **measure(gaussians, camera, blend, options.repeats)})
             print(described(rows[-1]), flush=True)
-    common.save("splat", rows)
+    if options.widths == Options().widths:
+        common.save("splat", rows)
 
 
 def measure(gaussians: Gaussians, camera: Camera, blend: limit.Blend | None, repeats: int) -> dict:

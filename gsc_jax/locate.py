@@ -128,7 +128,7 @@ def locate(
         seen=look.seen,
         group_sizes=finding.group_sizes,
         effort=look.effort,
-        native=told,
+        native=told if isinstance(config, RobustConfig) else None,
         method=config.name,
         config=config,
         stages=stages.summary(),
@@ -207,8 +207,8 @@ def _look(
             finding = find_native(native, config=config)
         return _Looked(finding=finding, seen=native.known, config=config)
     raise ValueError(
-        f"{config.name} without a detector and without the Gaussians' own evidence has nothing "
-        "to go by; give a detector, or use `robust` with native=True"
+        f"{config.name} has nothing to go by without a detector; give one, or let `robust` ask the "
+        "Gaussians themselves (native=True)"
     )
 
 

@@ -110,6 +110,12 @@ def _groups(view: View) -> tuple[Array, ...]:
     return tuple(x.reshape(-1, view.lockstep) for x in (view.tiles, view.starts, view.counts))
 
 
+def _require_rows(view: View, features: Array) -> None:
+    count = view.splats.shape[0] - 1
+    if features.ndim != 2 or features.shape[0] != count:
+        raise ValueError(f"features must be ({count}, D), got {features.shape}")
+
+
 @jax.custom_vjp
 @jax.jit
 def composite(view: View, features: jax.Array) -> jax.Array:
@@ -123,7 +129,11 @@ def composite(view: View, features: jax.Array) -> jax.Array:
 
     Returns:
         Image, shape (H, W, D); 0 on pixels that no Gaussian covers.
+
+    Raises:
+        ValueError: if there is not one row per Gaussian.
     """
+    _require_rows(view, features)
     padded = jnp.pad(features, ((0, 1), (0, 0)))
 
     def visit(image, ids, weights):
@@ -148,7 +158,12 @@ def accumulate(view: View, maps: jax.Array) -> jax.Array:
 
     Returns:
         A row per Gaussian, shape (N, D); 0 for those that the view does not see.
+
+    Raises:
+        ValueError: if the maps do not have the size of the image.
     """
+    if maps.ndim != 3 or maps.shape[:2] != (view.height, view.width):
+        raise ValueError(f"maps must be ({view.height}, {view.width}, D), got {maps.shape}")
     tiled = _tiles_of(view, maps)
 
     def gather(sums, group):
@@ -197,8 +212,12 @@ def composite_with_alpha(view: View, features: jax.Array) -> tuple[jax.Array, ja
 
     Returns:
         Image (H, W, D) and alpha (H, W).
+
+    Raises:
+        ValueError: if there is not one row per Gaussian.
     """
     features = jnp.asarray(features, jnp.float32)
+    _require_rows(view, features)
     blended = composite(view, jnp.concatenate([features, jnp.ones_like(features[:, :1])], axis=1))
     return blended[..., :-1], blended[..., -1]
 
@@ -220,9 +239,6 @@ def render_features(
     Raises:
         ValueError: if there is not one row per Gaussian.
     """
-    features = jnp.asarray(features, jnp.float32)
-    if features.ndim != 2 or len(features) != len(gaussians):
-        raise ValueError(f"features must be ({len(gaussians)}, D), got {features.shape}")
     return composite_with_alpha(make_view(gaussians, camera, near=near), features)
 
 
@@ -280,6 +296,4 @@ def accumulate_maps(
         ValueError: if the maps do not have the size of the image.
     """
     maps = jnp.asarray(maps, jnp.float32)
-    if maps.ndim != 3 or maps.shape[:2] != (camera.height, camera.width):
-        raise ValueError(f"maps must be ({camera.height}, {camera.width}, D), got {maps.shape}")
     return accumulate(make_view(gaussians, camera, near=near), maps)

@@ -25,6 +25,8 @@ TILE = 8
 """Side of a tile in pixels."""
 CPU_LOCKSTEP = 128
 """Tiles that walk together on a CPU: their weights for a chunk then fit into the L2 cache."""
+MOST = 2**28
+"""Intersections in a view, which take some 6 GiB to list. Real scenes have a few per splat."""
 MIN_LOCKSTEP, MIN_GROUPS = 16, 8
 """But not all tiles of a small view at once: a group walks until its longest list ends."""
 
@@ -174,7 +176,7 @@ def bin_splats(splats: Splats, width: int, height: int) -> TileLists:
         The lists of the ceil(width / 8) * ceil(height / 8) tiles, row by row.
 
     Raises:
-        InputError: if there are 2^31 or more intersections.
+        InputError: if there are more than 2^28 intersections.
     """
     columns, rows = -(-width // TILE), -(-height // TILE)
     ellipses = _ellipses(splats)  # computed while NumPy sorts
@@ -201,10 +203,10 @@ def _front_to_back(depths: np.ndarray, visible: np.ndarray) -> np.ndarray:
 def _ends(lengths: np.ndarray) -> np.ndarray:
     """Where each range begins when they lie one after the other, and where the last ends."""
     total = int(lengths.sum(dtype=np.int64))
-    if total > np.iinfo(np.int32).max:
+    if total > MOST:
         raise InputError(
-            f"The splats of one view touch {total:,} tiles, more than can be counted; are the "
-            "scales right? If so, ask for smaller images."
+            f"The splats of one view touch {total:,} tiles in all, more than the {MOST:,} that are "
+            "listed; are the scales right? If so, ask for smaller images."
         )
     return np.append(np.int32(0), np.cumsum(lengths, dtype=np.int32))
 

@@ -158,6 +158,7 @@ def test_a_prior_is_used_or_a_warning_says_that_it_was_not(method):
     native = native_evidence(SCENE)
     result = locate(SCENE, cameras(), truths(), method=method, native=native)
     assert any("not used" in warning for warning in result.warnings) == (not used)
+    assert (result.native is native) == used
 
 
 def test_the_result_says_which_method_made_it():

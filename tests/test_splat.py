@@ -24,7 +24,7 @@ from strategies import (
 from tolerances import ADJOINT, ROUNDING, assert_same_image, assert_same_sums
 
 import gsc_jax
-from gsc_jax.splat import CHUNK, accumulate, blend_pixel, composite
+from gsc_jax.splat import CHUNK, accumulate, blend_pixel, composite, composite_with_alpha
 from gsc_jax.tiles import make_view
 
 SIZES = [(1, 1), (15, 17), (33, 15), (17, 33)]
@@ -382,3 +382,13 @@ def test_features_that_do_not_fit_are_refused(shape):
 def test_maps_that_do_not_fit_are_refused(shape):
     with pytest.raises(ValueError, match=r"maps must be \(15, 17, D\), got"):
         gsc_jax.accumulate(random_scene(8), VIEW, np.ones(shape, np.float32))
+
+
+def test_rows_and_maps_of_another_size_are_errors_that_say_both_sizes():
+    view = make_view(random_scene(20), VIEW)
+    with pytest.raises(ValueError, match=r"\(20, D\), got \(19, 2\)"):
+        composite(view, jnp.ones((19, 2)))
+    with pytest.raises(ValueError, match=r"\(20, D\), got \(20,\)"):
+        composite_with_alpha(view, jnp.ones(20))
+    with pytest.raises(ValueError, match=r"\(15, 17, D\), got \(17, 15, 2\)"):
+        accumulate(view, jnp.ones((17, 15, 2)))

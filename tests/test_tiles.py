@@ -163,7 +163,13 @@ def test_a_restricted_view_blends_the_wanted_splats_as_the_whole_one_does():
 
 
 def test_more_intersections_than_can_be_counted_are_one_clear_error():
-    widths = np.full(3, 2**30, np.int32)
-    with pytest.raises(InputError, match=r"touch 3,221,225,472 tiles.*scales"):
+    widths = np.full(3, 2**27, np.int32)
+    with pytest.raises(InputError, match=r"touch 402,653,184 tiles.*scales"):
         _ends(widths)
-    assert _ends(widths[:1]).tolist() == [0, 2**30]
+    assert _ends(widths[:2]).tolist() == [0, 2**27, 2**28]
+
+
+def test_scenes_of_absurd_scales_are_refused_before_they_fill_the_memory():
+    everywhere = blobs(np.tile([[0.0, 0.0, 2.0]], (30_000, 1)), scale=1e3)
+    with pytest.raises(InputError, match="scales right"):
+        make_view(everywhere, camera(960, 720))

@@ -203,7 +203,7 @@ def _image_of(view: View, blended: jax.Array) -> jax.Array:
     return cells.reshape(rows * TILE, columns * TILE, -1)[: view.height, : view.width]
 
 
-def composite_with_alpha(view: View, features: jax.Array) -> tuple[jax.Array, jax.Array]:
+def composite_with_alpha(view: View, features: Array) -> tuple[jax.Array, jax.Array]:
     """Blend features, and with them a column of ones: W c and alpha = W 1.
 
     Args:

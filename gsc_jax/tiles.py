@@ -80,7 +80,10 @@ def make_view(
             in small views.
 
     Returns:
-        The view. Its arrays have one of a few sizes, so that another camera recompiles nothing.
+        The view. Its arrays have one of a few sizes, so that another camera seldom recompiles.
+
+    Raises:
+        InputError: if the splats touch more than 2^28 tiles in all.
     """
     return bin_view(project(gaussians, camera, near=near), camera, lockstep=lockstep)
 

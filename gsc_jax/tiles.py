@@ -26,7 +26,7 @@ TILE = 8
 CPU_LOCKSTEP = 128
 """Tiles that walk together on a CPU: their weights for a chunk then fit into the L2 cache."""
 MOST = 2**28
-"""Intersections in a view, which take some 6 GiB to list. Real scenes have a few per splat."""
+"""Intersections in a view: more would fill the memory. Real scenes have a few per splat."""
 MIN_LOCKSTEP, MIN_GROUPS = 16, 8
 """But not all tiles of a small view at once: a group walks until its longest list ends."""
 

@@ -55,7 +55,9 @@ def test_true_masks_find_the_tampered_gaussians(method):
         assert overlap > 0.9, f"the mask of {name} does not show the tampered region"
     assert result.tamper.dtype == np.float32
     assert result.tamper.min() >= 0
-    assert 0.9 < result.tamper.max() <= 1
+    # What robust hands back is a probability; the others divide by the largest attribute.
+    least = 0.9 if method == "robust" else 0.99
+    assert least < result.tamper.max() <= 1
     assert not result.labels[BEHIND], "a Gaussian that no view sees was found tampered"
 
 

@@ -26,7 +26,7 @@ def main() -> int:
     """
     stop = _Stop()
     stop.listen()
-    from gsc_jax.app.cli import main as command
+    from gsc_jax.cli.main import main as command
 
     stop.imported = True
     try:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gsc_jax.tiles import TILE, View
+from gsc_jax.render.tiles import TILE, View
 
 SOURCE = Path(__file__).with_name("limit.c")
 FLAGS = ["-O3", "-march=native", "-ffast-math", "-fopenmp", "-shared"]

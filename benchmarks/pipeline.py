@@ -27,14 +27,15 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 
-from gsc_jax import METHODS, RobustConfig, locate, method
-from gsc_jax.detection import as_detector
-from gsc_jax.native import native_evidence
-from gsc_jax.observe import observe
+from gsc_jax import METHODS, RobustConfig, locate
+from gsc_jax.estimators import gschecker as method
+from gsc_jax.evidence.detector import as_detector
+from gsc_jax.evidence.monitor import peak_memory_mib
+from gsc_jax.evidence.observation import observe
+from gsc_jax.forensics.evidence import native_evidence
+from gsc_jax.render.tiles import make_view
 from gsc_jax.scene import Camera, Gaussians
 from gsc_jax.splat import accumulate
-from gsc_jax.stages import peak_memory_mib
-from gsc_jax.tiles import make_view
 
 Part = Literal["locate", "robust", "native", "rendered", "memory", "cold", "sweep", "scaling"]
 VIEWS, WIDTH, HEIGHT = 100, 640, 420
@@ -187,7 +188,7 @@ start = time.perf_counter()
 import gsc_jax
 imported = time.perf_counter()
 from gsc_jax.benchmark.scenes import make_room, room_cameras
-from gsc_jax.app.cache import use_cache
+from gsc_jax.cli.cache import use_cache
 room, camera = make_room(), room_cameras(1)[0]
 use_cache(sys.argv[1])
 begin = time.perf_counter()

@@ -20,12 +20,12 @@ import numpy as np
 import plain
 import tyro
 
-from gsc_jax.projection import project
+from gsc_jax.evidence.monitor import peak_memory_mib
+from gsc_jax.render.projection import project
+from gsc_jax.render.spherical_harmonics import colors
+from gsc_jax.render.tiles import TILE, View, bin_view, make_view
 from gsc_jax.scene import Camera, Gaussians
-from gsc_jax.sh import colors
 from gsc_jax.splat import MAX_ALPHA, MIN_TRANSMITTANCE, accumulate, composite
-from gsc_jax.stages import peak_memory_mib
-from gsc_jax.tiles import TILE, View, bin_view, make_view
 
 Runs = dict[str, Callable[[], object]]
 STAGES = ("project", "bin", "composite", "accumulate", "whole view")

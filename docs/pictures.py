@@ -18,14 +18,14 @@ from pathlib import Path
 import numpy as np
 
 import gsc_jax
-from gsc_jax.app.cli import main as run_program
-from gsc_jax.app.pictures import overlay
 from gsc_jax.benchmark.metrics import truth_mask
 from gsc_jax.benchmark.scenes import MadeScene, tampered_room
 from gsc_jax.benchmark.simulate import REGIMES, decoy_labels, simulate
+from gsc_jax.cli.main import main as run_program
+from gsc_jax.cli.pictures import overlay
 from gsc_jax.io.masks import image_path, write_probability
+from gsc_jax.render.spherical_harmonics import colors
 from gsc_jax.scene import Camera, Gaussians
-from gsc_jax.sh import colors
 
 DOCS = Path(__file__).resolve().parent
 PICTURES = DOCS / "pictures"

@@ -22,8 +22,8 @@ from tables import Row, markdown, pivot, values_of, where, write_section
 
 from gsc_jax.benchmark.metrics import mean_over_tampered_views
 from gsc_jax.benchmark.simulate import REGIMES
-from gsc_jax.decide import view_mask
-from gsc_jax.method import CONSENSUS, METHODS, MethodConfig, find
+from gsc_jax.estimators.gschecker import CONSENSUS, METHODS, MethodConfig, find
+from gsc_jax.evidence.masks import view_mask
 
 PAPER = {
     "paper: the vote alone": "0.85 / 0.74",

@@ -14,17 +14,17 @@ from pathlib import Path
 
 import charts
 from cases import Case, detector_masks, masks_of
+from difference import DifferenceDetector
 from looks import Method, look
 from methods import ALL_METHODS
 from runner import REFERENCE, ChosenArgs, judge, measured, start
 from tables import Row, pivot, write_section
 
-from gsc_jax.benchmark.difference import DifferenceDetector
 from gsc_jax.benchmark.simulate import PROFILES
-from gsc_jax.detection import Detector
 from gsc_jax.detectors.onnx import OnnxDetector, OnnxSpec
-from gsc_jax.detectors.onnx_spec import preset
-from gsc_jax.errors import InputError
+from gsc_jax.detectors.specs import preset
+from gsc_jax.evidence.detector import Detector
+from gsc_jax.scene import InputError
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

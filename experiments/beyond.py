@@ -23,8 +23,8 @@ from scipy.sparse.csgraph import connected_components
 from tables import Row, markdown, pivot, values_of, where, write_section
 
 from gsc_jax.benchmark.simulate import REGIMES
-from gsc_jax.robust import RobustConfig, find_robust, looks_of
-from gsc_jax.smoothing import nearest
+from gsc_jax.estimators.robust.estimator import RobustConfig, find_robust, looks_of
+from gsc_jax.estimators.robust.mean_field import nearest
 
 FULL = "robust"
 DEFAULT = RobustConfig()

@@ -24,9 +24,9 @@ from tables import Row, markdown, mean, values_of, where, write_section
 
 from gsc_jax.benchmark.metrics import auc
 from gsc_jax.benchmark.simulate import REGIMES
-from gsc_jax.robust import RobustConfig, find_robust
+from gsc_jax.estimators.robust.estimator import RobustConfig, find_robust
+from gsc_jax.render.tiles import make_view
 from gsc_jax.splat import accumulate
-from gsc_jax.tiles import make_view
 
 BINS = 10
 

@@ -13,18 +13,17 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
+from baselines import inverse
+from garden import garden_cameras, make_garden
 
 from gsc_jax import load_cameras, load_ply
-from gsc_jax.benchmark.baselines import inverse
-from gsc_jax.benchmark.garden import garden_cameras, make_garden
 from gsc_jax.benchmark.metrics import mean_over_tampered_views, truth_mask
 from gsc_jax.benchmark.scenes import make_object, make_room, room_cameras
 from gsc_jax.benchmark.simulate import REGIMES, Failures, calibrated, decoy_labels, simulate
 from gsc_jax.benchmark.tamper import Edit, Tampered, cut_object, tamper
-from gsc_jax.detection import Detector, fit_to_view
-from gsc_jax.errors import InputError
-from gsc_jax.projection import project_centers
-from gsc_jax.scene import Camera, Gaussians
+from gsc_jax.evidence.detector import Detector, fit_to_view
+from gsc_jax.render.projection import project_centers
+from gsc_jax.scene import Camera, Gaussians, InputError
 from gsc_jax.splat import render
 from gsc_jax.vote import cast_votes, tally
 

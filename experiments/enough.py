@@ -14,17 +14,17 @@ import charts
 import jax
 import numpy as np
 from cases import MADE, QUICK, Case, detector_masks, seen_from
+from garden import garden_cameras
 from looks import Answer, Look, look
 from methods import labelled
 from runner import FewArgs, heldout_masks, measured, start
 from tables import Row, markdown, mean, values_of, where, write_section
 
-from gsc_jax.benchmark.garden import garden_cameras
 from gsc_jax.benchmark.metrics import mean_over_tampered_views
 from gsc_jax.benchmark.scenes import room_cameras
 from gsc_jax.benchmark.simulate import REGIMES
-from gsc_jax.frugal import batches, changed, spread
-from gsc_jax.robust import RobustConfig, find_robust
+from gsc_jax.estimators.robust.early_stopping import batches, changed, spread
+from gsc_jax.estimators.robust.estimator import RobustConfig, find_robust
 
 VIEWS, WIDTH, HEIGHT = 72, 240, 180
 TOLERANCES = (0.1, 0.05, 0.02, 0.01, 0.0)

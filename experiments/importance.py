@@ -20,9 +20,9 @@ from tables import Row, pivot, values_of, where, write_section
 from train_cues import FIRST_SEED, Examples, read_examples
 
 from gsc_jax.benchmark.metrics import auc
-from gsc_jax.cues import select
-from gsc_jax.errors import InputError
-from gsc_jax.suspicion import Model, raw_odds
+from gsc_jax.forensics.classifier import Model, raw_odds
+from gsc_jax.forensics.features import select
+from gsc_jax.scene import InputError
 
 NOTHING = "nothing"
 SEEDS = range(FIRST_SEED, FIRST_SEED + 6)

@@ -10,12 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 from cases import Case
 
-from gsc_jax.evidence import Evidence
-from gsc_jax.observe import Observation
-from gsc_jax.projection import project_centers
+from gsc_jax.evidence.lifting import Evidence
+from gsc_jax.evidence.observation import Observation
+from gsc_jax.render.projection import project_centers
+from gsc_jax.render.tiles import View, make_view
 from gsc_jax.scene import Gaussians
 from gsc_jax.splat import accumulate
-from gsc_jax.tiles import View, make_view
 from gsc_jax.vote import cast_votes, no_votes, tally
 
 

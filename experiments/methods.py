@@ -6,9 +6,7 @@ from collections.abc import Callable, Mapping
 
 import jax.numpy as jnp
 import numpy as np
-from looks import Answer, Look, Method, Shared
-
-from gsc_jax.benchmark.baselines import (
+from baselines import (
     SA3D_LEVEL,
     flashsplat,
     inverse,
@@ -17,12 +15,14 @@ from gsc_jax.benchmark.baselines import (
     sagd_boundary,
     sagd_vote,
 )
+from looks import Answer, Look, Method, Shared
+
 from gsc_jax.benchmark.metrics import (
     iou,
 )
-from gsc_jax.evidence import Evidence
-from gsc_jax.method import METHODS, Config, MethodConfig, find
-from gsc_jax.robust import RobustConfig
+from gsc_jax.estimators.gschecker import METHODS, Config, MethodConfig, find
+from gsc_jax.estimators.robust.estimator import RobustConfig
+from gsc_jax.evidence.lifting import Evidence
 from gsc_jax.splat import composite
 
 

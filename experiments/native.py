@@ -16,21 +16,21 @@ from pathlib import Path
 import charts
 import numpy as np
 from cases import QUICK, Case, calibrated_mixture, detector_masks, donor_name, untouched
+from export import exported
 from looks import Answer, Look, look
 from matplotlib import pyplot as plt
 from methods import ALL_METHODS
 from runner import REFERENCE, TRUTH, Args, heldout_masks, judge, measured, scores, start
 from tables import Row, markdown, pivot, values_of, where, write_section
 
-from gsc_jax.benchmark.export import exported
 from gsc_jax.benchmark.metrics import auc, false_positive_area
 from gsc_jax.benchmark.simulate import REGIMES, Failures
-from gsc_jax.errors import InputError
-from gsc_jax.fusion import Prior
-from gsc_jax.method import find
-from gsc_jax.native import Native, find_native, native_evidence
-from gsc_jax.robust import RobustConfig
-from gsc_jax.suspicion import Model, from_arrays, shipped_model
+from gsc_jax.estimators.gschecker import find
+from gsc_jax.estimators.robust.estimator import RobustConfig
+from gsc_jax.estimators.robust.prior_fusion import Prior
+from gsc_jax.forensics.classifier import Model, from_arrays, shipped_model
+from gsc_jax.forensics.evidence import Native, find_native, native_evidence
+from gsc_jax.scene import InputError
 
 EXPORTS = ("as edited", "8 bits")
 ALONE, TRACES = "Gaussians, no traces", "Gaussians"

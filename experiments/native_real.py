@@ -12,17 +12,17 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
+from export import exported
 from native import EXPORTS, model_without
 from real_scenes import Args, Scene, load
 from runner import start
 from tables import markdown, write_section
 
 from gsc_jax import RobustConfig, view_mask
-from gsc_jax.benchmark.export import exported
 from gsc_jax.benchmark.metrics import auc, confusion, mean_over_tampered_views
-from gsc_jax.finding import Finding
-from gsc_jax.method import find
-from gsc_jax.native import find_native, native_evidence
+from gsc_jax.estimators.gschecker import find
+from gsc_jax.estimators.protocol import Finding
+from gsc_jax.forensics.evidence import find_native, native_evidence
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -25,7 +25,7 @@ from tables import Row, markdown, mean, values_of, where, write_section
 
 from gsc_jax.benchmark.metrics import mean_over_tampered_views
 from gsc_jax.benchmark.simulate import REGIMES
-from gsc_jax.method import METHODS, MethodConfig
+from gsc_jax.estimators.gschecker import METHODS, MethodConfig
 
 CHECKERS = {"GS-Checker official": METHODS["official"], "GS-Checker paper": METHODS["paper"]}
 NAMES = (*CHECKERS, "FlashSplat", "robust")

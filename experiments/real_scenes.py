@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import tyro
+from baselines import flashsplat, inverse, mode_vote, sa3d
 from tables import write_csv, write_section
 
 from gsc_jax import (
@@ -26,11 +27,10 @@ from gsc_jax import (
     load_ply,
     view_mask,
 )
-from gsc_jax.benchmark.baselines import flashsplat, inverse, mode_vote, sa3d
 from gsc_jax.benchmark.metrics import confusion
+from gsc_jax.estimators.gschecker import Config, find
+from gsc_jax.evidence.observation import Observation, observe
 from gsc_jax.io.masks import read_probability
-from gsc_jax.method import Config, find
-from gsc_jax.observe import Observation, observe
 from gsc_jax.scene import Camera, Gaussians
 
 SEEDS = 3

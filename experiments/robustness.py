@@ -19,13 +19,12 @@ import charts
 import jax
 import jax.numpy as jnp
 from cases import Case, calibrated_mixture, detector_masks, masks_of
+from difference import DifferenceDetector
+from distort import DISTORTIONS
 from looks import Method, look
 from methods import ALL_METHODS
 from runner import REFERENCE, ChosenArgs, judge, measured, start
 from tables import Row, pivot, values_of, where, write_section
-
-from gsc_jax.benchmark.difference import DifferenceDetector
-from gsc_jax.benchmark.distort import DISTORTIONS
 
 PAPER = {
     "none": {"SA3D": 0.8348, "GS-Checker paper": 0.9017},

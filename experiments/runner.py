@@ -30,12 +30,11 @@ from gsc_jax.benchmark.metrics import (
     mean_over_tampered_views,
 )
 from gsc_jax.benchmark.tamper import EDITS, Edit
-from gsc_jax.decide import MIN_COVERAGE
-from gsc_jax.errors import InputError
+from gsc_jax.evidence.masks import MIN_COVERAGE
 from gsc_jax.io.files import existing_file
-from gsc_jax.scene import Camera, Gaussians
+from gsc_jax.render.tiles import View, make_view
+from gsc_jax.scene import Camera, Gaussians, InputError
 from gsc_jax.splat import composite_with_alpha
-from gsc_jax.tiles import View, make_view
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 CHANNELS = 32

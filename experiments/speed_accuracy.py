@@ -24,8 +24,8 @@ from methods import ALL_METHODS, checker, sa3d_gate_alone
 from runner import FewArgs, heldout_masks, measured, scores, start
 from tables import Row, markdown, mean, values_of, where, write_section
 
-from gsc_jax.method import METHODS
-from gsc_jax.projection import project_centers
+from gsc_jax.estimators.gschecker import METHODS
+from gsc_jax.render.projection import project_centers
 from gsc_jax.vote import cast_votes, tally
 
 VIEWS, SCALES = (4, 8, 12, 18), (0.25, 0.5, 1.0)

@@ -23,8 +23,8 @@ from tables import Row, markdown, mean, values_of, where, write_section
 
 from gsc_jax.benchmark.metrics import truth_mask
 from gsc_jax.benchmark.simulate import REGIMES, Failures
-from gsc_jax.method import find
-from gsc_jax.robust import RobustConfig
+from gsc_jax.estimators.gschecker import find
+from gsc_jax.estimators.robust.estimator import RobustConfig
 from gsc_jax.scene import Array, Gaussians
 
 LEFT_OUT = "SA3D, gate", "robust, rendered"

@@ -1,6 +1,6 @@
 """Train what reads the cues of the Gaussians, and for every scene a model that never saw it.
 
-    python experiments/train_cues.py [--keep .cues] [--out gsc_jax/cues.npz]
+    python experiments/train_cues.py [--keep .cues] [--out gsc_jax/forensics/classifier.npz]
 
 Edits of all scenes with other seeds than those of the tables, exported so that host and object have
 the same digits. The model that comes with the package learned from all scenes; for every scene
@@ -20,16 +20,12 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 from cases import CUT, DATA, available, donor_name, edit_scene, load_scene
+from export import exported
 from runner import start
 from tqdm import tqdm
 
-from gsc_jax.benchmark.export import exported
 from gsc_jax.benchmark.tamper import EDITS, Edit
-from gsc_jax.cues import CLIP, cues
-from gsc_jax.errors import InputError
-from gsc_jax.io.files import atomic
-from gsc_jax.scene import Gaussians
-from gsc_jax.suspicion import (
+from gsc_jax.forensics.classifier import (
     Layers,
     Model,
     as_arrays,
@@ -38,6 +34,9 @@ from gsc_jax.suspicion import (
     settled,
     worst_part,
 )
+from gsc_jax.forensics.features import CLIP, cues
+from gsc_jax.io.files import atomic
+from gsc_jax.scene import Gaussians, InputError
 
 FIRST_SEED = 10
 SEEDS = {"incorporation": 18, "modification": 36, "removal": 12}
@@ -75,7 +74,7 @@ class Args:
     share: float = 1.0
     data: Path = DATA
     keep: Path = Path(".cues")
-    out: Path = Path("gsc_jax/cues.npz")
+    out: Path = Path("gsc_jax/forensics/classifier.npz")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -9,19 +9,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from gsc_jax.decide import view_mask
-from gsc_jax.detection import Detector, as_detector
-from gsc_jax.errors import InputError
-from gsc_jax.finding import Finding, Reliability
-from gsc_jax.frugal import Effort, observe_enough
-from gsc_jax.method import CONFIGS, Config, Method, find, settled
-from gsc_jax.native import Native, find_native, native_evidence
-from gsc_jax.observe import observe
-from gsc_jax.parallel import WORKERS, ahead
-from gsc_jax.robust import RobustConfig
-from gsc_jax.scene import Camera, Gaussians, invalid_rows
-from gsc_jax.stages import Progress, Stages, silent
-from gsc_jax.views import check_views
+from gsc_jax.estimators.gschecker import CONFIGS, Config, Method, find, settled
+from gsc_jax.estimators.protocol import Finding, Reliability
+from gsc_jax.estimators.robust.early_stopping import Effort, observe_enough
+from gsc_jax.estimators.robust.estimator import RobustConfig
+from gsc_jax.evidence.detector import Detector, as_detector
+from gsc_jax.evidence.masks import view_mask
+from gsc_jax.evidence.monitor import Progress, Stages, silent
+from gsc_jax.evidence.observation import observe
+from gsc_jax.forensics.evidence import Native, find_native, native_evidence
+from gsc_jax.render.visibility import check_views
+from gsc_jax.scene import Camera, Gaussians, InputError, invalid_rows
+from gsc_jax.scene.parallel import WORKERS, ahead
 
 DISAGREEMENT = 0.1
 """A finding that covers less than this share of what was flagged is worth a warning."""

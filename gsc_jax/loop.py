@@ -16,11 +16,11 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from gsc_jax.evidence import Evidence
+from gsc_jax.evidence.lifting import Evidence
 from gsc_jax.losses import loss_2d, loss_2d_from_evidence, loss_3d, partition
+from gsc_jax.render.tiles import View
 from gsc_jax.scene import Array
 from gsc_jax.splat import composite
-from gsc_jax.tiles import View
 
 
 @functools.partial(

@@ -14,10 +14,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from gsc_jax.evidence import Evidence
-from gsc_jax.pytree import pytree
-from gsc_jax.scene import Array, Gaussians
-from gsc_jax.sh import Y0
+from gsc_jax.evidence.lifting import Evidence
+from gsc_jax.render.spherical_harmonics import Y0
+from gsc_jax.scene import Array, Gaussians, pytree
 
 
 def loss_2d(

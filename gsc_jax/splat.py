@@ -14,10 +14,10 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from gsc_jax.projection import MIN_ALPHA, NEAR
+from gsc_jax.render.projection import MIN_ALPHA, NEAR
+from gsc_jax.render.spherical_harmonics import colors
+from gsc_jax.render.tiles import TILE, View, make_view
 from gsc_jax.scene import Array, Camera, Gaussians
-from gsc_jax.sh import colors
-from gsc_jax.tiles import TILE, View, make_view
 
 MAX_ALPHA = 0.99
 MIN_TRANSMITTANCE = 1e-4

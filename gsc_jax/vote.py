@@ -10,8 +10,7 @@ as pure functions of the tally.
 import jax
 import jax.numpy as jnp
 
-from gsc_jax.pytree import pytree
-from gsc_jax.scene import Array
+from gsc_jax.scene import Array, pytree
 
 TAMPERED, AUTHENTIC, ABSTAIN = 1, 0, -1
 

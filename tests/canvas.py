@@ -9,12 +9,12 @@ import imageio.v3 as iio
 import numpy as np
 from browser import Browser
 
-from gsc_jax.app.viewing.exhibit import Exhibit
-from gsc_jax.app.viewing.panel import SPLATS
-from gsc_jax.app.viewing.poses import Pose
+from gsc_jax.cli.viewer.exhibit import Exhibit
+from gsc_jax.cli.viewer.panel import SPLATS
+from gsc_jax.cli.viewer.poses import Pose
+from gsc_jax.render.orbit import look_at
 from gsc_jax.scene import Camera, Gaussians
 from gsc_jax.splat import render
-from gsc_jax.views import look_at
 
 SIZE = (700, 480)
 PATIENCE = 30.0

@@ -16,14 +16,15 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 from plyfile import PlyData, PlyElement
 
-from gsc_jax.app import asked, cli
 from gsc_jax.benchmark.metrics import truth_mask
+from gsc_jax.cli import detector_choice as asked
+from gsc_jax.cli import main as cli
 from gsc_jax.detectors.onnx import OnnxDetector
 from gsc_jax.io.cameras import save_cameras
 from gsc_jax.io.layout import encode
 from gsc_jax.io.masks import image_path, write_mask
+from gsc_jax.render.orbit import orbit_cameras
 from gsc_jax.scene import Gaussians
-from gsc_jax.views import orbit_cameras
 
 NAMES = ("left/img.0001.JPG", "view.b", "c")
 COUNT, OBJECT, BROKEN = 300, 60, (5, 17)

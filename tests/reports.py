@@ -8,18 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from gsc_jax.app.located import Located
-from gsc_jax.app.outputs import write_report
-from gsc_jax.app.pictures import jpeg_path, overlay, write_jpeg
-from gsc_jax.finding import Reliability
-from gsc_jax.frugal import Effort
+from gsc_jax.cli.located import Located
+from gsc_jax.cli.outputs import write_report
+from gsc_jax.cli.pictures import jpeg_path, overlay, write_jpeg
+from gsc_jax.estimators.protocol import Reliability
+from gsc_jax.estimators.robust.early_stopping import Effort
+from gsc_jax.estimators.robust.estimator import RobustConfig
+from gsc_jax.forensics.evidence import Native
+from gsc_jax.forensics.traces import Trace
 from gsc_jax.io.masks import image_path, write_mask, write_probability
 from gsc_jax.io.ply import read_ply, save_ply
 from gsc_jax.locate import Result
-from gsc_jax.native import Native
-from gsc_jax.robust import RobustConfig
 from gsc_jax.scene import Camera, Gaussians
-from gsc_jax.traces import Trace
 
 COUNT, FOUND = 400, 100
 WORTHS: tuple[Reliability, ...] = ("finds", "misses", "inverted", "unseen")

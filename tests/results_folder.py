@@ -8,8 +8,8 @@ import numpy as np
 
 from gsc_jax.io.cameras import save_cameras
 from gsc_jax.io.ply import read_ply, save_ply, save_tampered
+from gsc_jax.render.orbit import orbit_cameras
 from gsc_jax.scene import Camera, Gaussians
-from gsc_jax.views import orbit_cameras
 
 COUNT, OBJECT = 2000, 4
 """Gaussians in the file, of which each so-many-th is of the object."""

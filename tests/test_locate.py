@@ -9,14 +9,14 @@ from strategies import blobs, camera, with_row
 
 from gsc_jax import METHODS, InputError, locate, rendered_share
 from gsc_jax.benchmark.metrics import confusion
-from gsc_jax.detection import as_detector, fit_to_view
 from gsc_jax.detectors.folder import FolderDetector
-from gsc_jax.fusion import Prior
+from gsc_jax.estimators.gschecker import CONFIGS, find, sweep
+from gsc_jax.estimators.robust.prior_fusion import Prior
+from gsc_jax.evidence.detector import as_detector, fit_to_view
+from gsc_jax.evidence.observation import observe
+from gsc_jax.forensics.evidence import native_evidence
 from gsc_jax.locate import _disagreement
 from gsc_jax.loop import LoopConfig
-from gsc_jax.method import CONFIGS, find, sweep
-from gsc_jax.native import native_evidence
-from gsc_jax.observe import observe
 from gsc_jax.scene import Camera
 
 METHOD = pytest.mark.parametrize("method", ["paper", "official"])

@@ -10,11 +10,11 @@ from data import TAMPERED, load_tampered, needs_data
 from strategies import camera, random_scene
 
 from gsc_jax.detectors.folder import FolderDetector
-from gsc_jax.evidence import Evidence, view_evidence
+from gsc_jax.estimators.gschecker import ATTRIBUTES, METHODS
+from gsc_jax.evidence.lifting import Evidence, view_evidence
 from gsc_jax.locate import locate
 from gsc_jax.loop import LoopConfig, fit, fit_rendered, init, step, view_order
-from gsc_jax.method import ATTRIBUTES, METHODS
-from gsc_jax.tiles import make_view
+from gsc_jax.render.tiles import make_view
 
 ATTRIBUTES_OF_SIX = np.array([[1.0, 1.0, 0.9, 0.1, 0.0, 0.0]], np.float32)
 R = np.array([9.0, 9.0, 0.5, 0.5, -9.0, -9.0], np.float32)

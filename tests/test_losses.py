@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from strategies import random_scene, with_row
 
-from gsc_jax.evidence import Evidence
+from gsc_jax.evidence.lifting import Evidence
 from gsc_jax.losses import (
     Partition,
     direction,

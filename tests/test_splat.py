@@ -24,8 +24,8 @@ from strategies import (
 from tolerances import ADJOINT, ROUNDING, assert_same_image, assert_same_sums
 
 import gsc_jax
+from gsc_jax.render.tiles import make_view
 from gsc_jax.splat import CHUNK, accumulate, blend_pixel, composite, composite_with_alpha
-from gsc_jax.tiles import make_view
 
 SIZES = [(1, 1), (15, 17), (33, 15), (17, 33)]
 VIEW = camera(17, 15)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from strategies import camera
 
-from gsc_jax.projection import project_centers
+from gsc_jax.render.projection import project_centers
 from gsc_jax.vote import cast_votes, official_consensus, paper_consensus, tally
 
 MASK = np.zeros((4, 6), bool)

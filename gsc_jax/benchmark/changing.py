@@ -15,8 +15,8 @@ import numpy as np
 
 from gsc_jax.benchmark.draft import Draft, Unsuitable
 from gsc_jax.benchmark.regions import CONTRAST, Region, Sight, grow, pick
+from gsc_jax.render.spherical_harmonics import Y0
 from gsc_jax.scene import Gaussians
-from gsc_jax.sh import Y0
 
 Warp = Callable[[jax.Array], jax.Array]
 

@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gsc_jax.decide import rendered_share
-from gsc_jax.projection import NEAR
+from gsc_jax.evidence.masks import rendered_share
+from gsc_jax.render.projection import NEAR
 from gsc_jax.scene import Array, Camera, Gaussians
 
 EPSILON = 1e-8

@@ -12,8 +12,8 @@ import numpy as np
 from gsc_jax.benchmark.draft import Draft, Unsuitable, visible_shares
 from gsc_jax.benchmark.regions import Sight, pick, typical_share
 from gsc_jax.benchmark.scenes import concatenate
+from gsc_jax.render.spherical_harmonics import rotate
 from gsc_jax.scene import Array, Gaussians
-from gsc_jax.sh import rotate
 
 PLACES = 96
 """Places that an attempt chooses from."""

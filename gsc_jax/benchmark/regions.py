@@ -14,12 +14,12 @@ from typing import TypeVar
 import jax.numpy as jnp
 import numpy as np
 
-from gsc_jax.parallel import WORKERS, ahead
-from gsc_jax.projection import NEAR
+from gsc_jax.render.projection import NEAR
+from gsc_jax.render.spherical_harmonics import Y0
+from gsc_jax.render.tiles import make_view
 from gsc_jax.scene import Camera, Gaussians, invalid_rows
-from gsc_jax.sh import Y0
+from gsc_jax.scene.parallel import WORKERS, ahead
 from gsc_jax.splat import accumulate
-from gsc_jax.tiles import make_view
 
 Value = TypeVar("Value")
 

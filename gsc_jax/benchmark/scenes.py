@@ -15,8 +15,8 @@ import numpy as np
 
 from gsc_jax.benchmark.furniture import TABLE, room_parts, vase_parts
 from gsc_jax.benchmark.surfaces import UP, Habits, made_of
+from gsc_jax.render.orbit import look_at
 from gsc_jax.scene import Camera, Gaussians
-from gsc_jax.views import look_at
 
 OBJECT_FOOT = np.array([0.15, -TABLE, 0.05])
 FLOATER_SHARE = 0.03

@@ -18,9 +18,8 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from gsc_jax.errors import InputError
-from gsc_jax.scene import Gaussians
-from gsc_jax.sh import Y0
+from gsc_jax.render.spherical_harmonics import Y0
+from gsc_jax.scene import Gaussians, InputError
 
 Vector = Sequence[float] | np.ndarray
 

@@ -30,11 +30,10 @@ from gsc_jax.benchmark.regions import (
     scaled_down,
     typical_share,
 )
-from gsc_jax.errors import InputError
-from gsc_jax.projection import NEAR
-from gsc_jax.scene import Camera, Gaussians
+from gsc_jax.render.projection import NEAR
+from gsc_jax.render.visibility import check_views
+from gsc_jax.scene import Camera, Gaussians, InputError
 from gsc_jax.splat import render
-from gsc_jax.views import check_views
 
 __all__ = ["EDITS", "Edit", "Tampered", "cut_object", "tamper", "transformed"]
 

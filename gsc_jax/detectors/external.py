@@ -10,7 +10,7 @@ import mmap
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
-from gsc_jax.errors import InputError
+from gsc_jax.scene import InputError
 
 LEADS_TO = {
     "ModelProto": {7: "GraphProto", 20: "TrainingInfoProto", 25: "FunctionProto"},

@@ -5,7 +5,7 @@ The map keeps the resolution of the network; whoever compares it with a view res
 
 import numpy as np
 
-from gsc_jax.detectors.onnx_spec import OnnxSpec
+from gsc_jax.detectors.specs import OnnxSpec
 
 Size = tuple[int, int]
 

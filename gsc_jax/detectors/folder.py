@@ -20,9 +20,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gsc_jax.errors import InputError
 from gsc_jax.io import masks
-from gsc_jax.scene import Camera
+from gsc_jax.scene import Camera, InputError
 
 
 class FolderDetector:

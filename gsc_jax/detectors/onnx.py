@@ -16,11 +16,10 @@ from typing import Any
 import numpy as np
 
 from gsc_jax.detectors.fitting import crop_map, fit_image, remap, to_tensor
-from gsc_jax.detectors.onnx_spec import PLAIN, PRESETS, OnnxSpec, preset
 from gsc_jax.detectors.ports import FLOATS, shape_text
 from gsc_jax.detectors.session import CPU, fingerprint, one_line, open_session, some
-from gsc_jax.errors import InputError
-from gsc_jax.scene import Camera
+from gsc_jax.detectors.specs import PLAIN, PRESETS, OnnxSpec, preset
+from gsc_jax.scene import Camera, InputError
 
 __all__ = ["PRESETS", "OnnxDetector", "OnnxSpec"]
 

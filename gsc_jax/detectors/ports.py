@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from gsc_jax.detectors.session import CPU, one_line, open_session
-from gsc_jax.errors import InputError
+from gsc_jax.scene import InputError
 
 Shape = Sequence[int | str | None]
 

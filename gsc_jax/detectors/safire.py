@@ -31,11 +31,10 @@ import numpy as np
 
 from gsc_jax.detectors import sources
 from gsc_jax.detectors.fitting import fit_image, to_tensor
-from gsc_jax.detectors.onnx_spec import OnnxSpec
 from gsc_jax.detectors.ports import NUMBERS, Network, Port, compatible, shape_text
 from gsc_jax.detectors.session import CPU, fingerprint, some
-from gsc_jax.errors import InputError
-from gsc_jax.scene import Camera
+from gsc_jax.detectors.specs import OnnxSpec
+from gsc_jax.scene import Camera, InputError
 
 Size = tuple[int, ...]
 

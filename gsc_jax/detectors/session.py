@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gsc_jax.detectors.external import external_files
-from gsc_jax.errors import InputError
-from gsc_jax.scene import Camera
+from gsc_jax.scene import Camera, InputError
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession

@@ -12,12 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from gsc_jax.errors import InputError
 from gsc_jax.io.colmap import MODEL_FILES, is_colmap, read_colmap
 from gsc_jax.io.files import atomic
 from gsc_jax.io.pinhole import numbers, pinhole, read_json
 from gsc_jax.io.transforms import read_transforms
-from gsc_jax.scene import Camera
+from gsc_jax.scene import Camera, InputError
 
 TRANSFORMS_FILES = ("transforms.json", "transforms_train.json")
 COLMAP_FOLDERS = (".", "sparse/0", "0", "sparse", "colmap/sparse/0")

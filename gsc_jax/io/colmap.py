@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gsc_jax.errors import InputError
-from gsc_jax.scene import Camera
+from gsc_jax.scene import Camera, InputError
 
 if TYPE_CHECKING:
     import pycolmap

@@ -10,7 +10,7 @@ import uuid
 from collections.abc import Iterator
 from pathlib import Path
 
-from gsc_jax.errors import InputError
+from gsc_jax.scene import InputError
 
 
 @contextlib.contextmanager

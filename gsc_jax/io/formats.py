@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gsc_jax.errors import InputError
-from gsc_jax.scene import Gaussians
+from gsc_jax.scene import Gaussians, InputError
 
 if TYPE_CHECKING:
     from plyfile import PlyData

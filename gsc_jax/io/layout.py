@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gsc_jax.errors import InputError
-from gsc_jax.scene import Array, Gaussians
+from gsc_jax.scene import Array, Gaussians, InputError
 
 if TYPE_CHECKING:
     from plyfile import PlyData, PlyElement

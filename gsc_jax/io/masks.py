@@ -12,8 +12,8 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 
 import numpy as np
 
-from gsc_jax.errors import InputError
 from gsc_jax.io.files import atomic
+from gsc_jax.scene import InputError
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp")
 """Suffixes of mask files, in lower case; upper case is accepted too."""

@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from gsc_jax.errors import InputError
-from gsc_jax.scene import Camera
+from gsc_jax.scene import Camera, InputError
 
 ORTHONORMAL_TOLERANCE = 5e-3
 """How far R^T R may be from the identity: files round to as few as three decimals."""

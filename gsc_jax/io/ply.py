@@ -13,12 +13,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gsc_jax.errors import InputError
 from gsc_jax.io import formats
 from gsc_jax.io.files import atomic, existing_file
 from gsc_jax.io.layout import decode, encode
-from gsc_jax.scene import Array, Gaussians, invalid_rows
-from gsc_jax.sh import Y0
+from gsc_jax.render.spherical_harmonics import Y0
+from gsc_jax.scene import Array, Gaussians, InputError, invalid_rows
 
 if TYPE_CHECKING:
     from plyfile import PlyData, PlyElement

@@ -11,9 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from gsc_jax.errors import InputError
 from gsc_jax.io.pinhole import numbers, pinhole
-from gsc_jax.scene import Camera
+from gsc_jax.scene import Camera, InputError
 
 DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
 PINHOLE_MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE")

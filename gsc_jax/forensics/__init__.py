@@ -1,0 +1,1 @@
+"""Evidence of editing from the attributes of the Gaussians alone, without a 2D detector."""

@@ -1,0 +1,1 @@
+"""What `splat` stands on: spherical harmonics, projection, tiles, cameras around a scene."""

@@ -1,0 +1,178 @@
+"""3D Gaussians to 2D: the EWA projection, culling, and what the rasteriser needs of each splat.
+
+With T = J W R S (Jacobian of the perspective, world to camera, rotation, scales) the image
+covariance is `T T^t + 0.3 I` (Zwicker et al. 2001; Kerbl et al. 2023, eq. 5). Its determinant is
+taken as `|t_0 x t_1|^2 + 0.3 tr + 0.09` (Cauchy-Binet), which stays positive in float32 however
+thin the needle, and divided by c before it can overflow; and the exponent
+`sigma = d^t Sigma^-1 d / 2` is evaluated as a sum of two squares of a whitened offset, so it is
+never negative. `tests/test_projection.py` holds it to a float64 reference.
+"""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+
+from gsc_jax.scene import Array, Camera, Gaussians, pytree
+from gsc_jax.scene.gaussians import IDENTITY
+
+NEAR = 0.2
+"""Default near plane in world units, that of the INRIA rasteriser."""
+LOW_PASS = 0.3
+"""Variance in square pixels added to every splat."""
+MIN_ALPHA = 1.0 / 255.0
+"""Contributions below this are dropped; also the level set that bounds a splat."""
+
+
+@pytree
+class Splats:
+    """N projected Gaussians; those that are not `visible` hold finite placeholders.
+
+    Attributes:
+        means: Projected centres in pixels, shape (N, 2).
+        covs: Image covariances (xx, xy, yy) in square pixels, shape (N, 3).
+        whitening: (a, b, c) such that sigma = (a dx + b dy)^2 + (c dy)^2, shape (N, 3).
+        opacities: Activated opacities, shape (N,).
+        reach: Twice the exponent at which alpha falls to 1/255, 2 ln(255 o), shape (N,).
+        depths: Distance along the optical axis in world units, shape (N,).
+        visible: In front of the near plane, finite, opaque enough and touching the image, (N,).
+    """
+
+    means: Array
+    covs: Array
+    whitening: Array
+    opacities: Array
+    reach: Array
+    depths: Array
+    visible: Array
+
+
+def project(gaussians: Gaussians, camera: Camera, *, near: float = NEAR) -> Splats:
+    """Project Gaussians into a view.
+
+    Args:
+        gaussians: N Gaussians; those whose place or shape is not finite are not visible.
+        camera: The view.
+        near: Near plane in world units; what lies closer is not visible.
+
+    Returns:
+        The N splats.
+
+    Raises:
+        ValueError: if the near plane is not in front of the camera.
+    """
+    if not near > 0:
+        raise ValueError(f"near must be positive, got {near}")
+    shape = (gaussians.means, gaussians.log_scales, gaussians.quats, gaussians.logit_opacities)
+    return _project(*shape, camera.viewmat, camera.K, near, camera.width, camera.height)
+
+
+@functools.partial(jax.jit, static_argnames=("width", "height"))
+def _project(means, log_scales, quats, logits, viewmat, K, near, width: int, height: int) -> Splats:
+    def one(mean, log_scale, quat, logit):
+        return _project_one(mean, log_scale, quat, logit, viewmat, K, near, width, height)
+
+    return jax.vmap(one)(means, log_scales, quats, logits)
+
+
+def _project_one(mean, log_scale, quat, logit, viewmat, K, near, width, height) -> Splats:
+    """One Gaussian, in scalars: vmap turns them into long vectors, which small matrices are not."""
+    x, y, depth = (_dot(viewmat[i, :3], mean) + viewmat[i, 3] for i in range(3))
+    in_front = depth > near
+    z = jnp.where(in_front, depth, 1.0)
+    u, v = _image_axes(x / z, y / z, z, viewmat, K, width, height)
+    scales = [jnp.exp(log_scale[k]) for k in range(3)]
+    axes = _rotation_columns(quat)
+    row_x = [_dot(u, axis) * scale for axis, scale in zip(axes, scales, strict=True)]
+    row_y = [_dot(v, axis) * scale for axis, scale in zip(axes, scales, strict=True)]
+
+    a, b, c = _dot(row_x, row_x) + LOW_PASS, _dot(row_x, row_y), _dot(row_y, row_y) + LOW_PASS
+    thin = _cross(row_x, [entry / jnp.sqrt(c) for entry in row_y])
+    det_over_c = _dot(thin, thin) + LOW_PASS * ((a - LOW_PASS) / c + 1.0)
+    steep = jnp.sqrt(0.5 / det_over_c)
+
+    opacity = jax.nn.sigmoid(logit)
+    reach = 2.0 * jnp.log(opacity / MIN_ALPHA)
+    center_x, center_y = x / z * K[0, 0] + K[0, 2], y / z * K[1, 1] + K[1, 2]
+    visible = in_front & (reach > 0) & jnp.isfinite(det_over_c) & jnp.isfinite(_largest(quat))
+    for center, variance, size in ((center_x, a, width), (center_y, c, height)):
+        extent = jnp.sqrt(jnp.maximum(reach, 0.0) * variance)
+        visible &= jnp.isfinite(extent) & (center + extent > 0) & (center - extent < size)
+
+    def kept(*entries):
+        return jnp.stack([jnp.where(visible, entry, 0.0) for entry in entries])
+
+    return Splats(
+        means=kept(center_x, center_y),
+        covs=kept(a, b, c),
+        whitening=kept(steep, -steep * b / c, jnp.sqrt(0.5 / c)),
+        opacities=jnp.where(visible, opacity, 0.0),
+        reach=jnp.where(visible, reach, 0.0),
+        depths=jnp.where(visible, depth, 0.0),
+        visible=visible,
+    )
+
+
+def _image_axes(slope_x, slope_y, z, viewmat, K, width, height):
+    """The two rows of J W, with the ray clamped to 1.3 times the field of view.
+
+    The clamp is measured from the principal point to each border (as gsplat does); with a centred
+    principal point that is INRIA's 1.3 tan(fov / 2).
+    """
+
+    def row(axis, slope, size):
+        focal, center = K[axis, axis], K[axis, 2]
+        margin = 0.15 * size / focal
+        clamped = jnp.clip(slope, -center / focal - margin, (size - center) / focal + margin)
+        return [focal / z * (viewmat[axis, k] - clamped * viewmat[2, k]) for k in range(3)]
+
+    return row(0, slope_x, width), row(1, slope_y, height)
+
+
+def _rotation_columns(quat) -> list[list[jax.Array]]:
+    """Columns of the rotation matrix of a wxyz quaternion of any length but zero."""
+    # Scaling by the largest entry first keeps the norm from over- or underflowing.
+    largest = _largest(quat)
+    usable = (largest > 0) & jnp.isfinite(largest)
+    divisor = jnp.where(usable, largest, 1.0)
+    w, x, y, z = (
+        jnp.where(usable, quat[i] / divisor, identity) for i, identity in enumerate(IDENTITY)
+    )
+    s = 2.0 / _dot([w, x, y, z], [w, x, y, z])
+    return [
+        [1 - s * (y * y + z * z), s * (x * y + w * z), s * (x * z - w * y)],
+        [s * (x * y - w * z), 1 - s * (x * x + z * z), s * (y * z + w * x)],
+        [s * (x * z + w * y), s * (y * z - w * x), 1 - s * (x * x + y * y)],
+    ]
+
+
+def _largest(quat):
+    return functools.reduce(jnp.maximum, [jnp.abs(quat[i]) for i in range(4)])
+
+
+def _dot(p, q):
+    return functools.reduce(jnp.add, [p[k] * q[k] for k in range(len(q))])
+
+
+def _cross(p, q):
+    return [p[i] * q[j] - p[j] * q[i] for i, j in ((1, 2), (2, 0), (0, 1))]
+
+
+@jax.jit
+def project_centers(means: Array, viewmat: Array, K: Array) -> tuple[jax.Array, jax.Array]:
+    """Project centres only, without culling: what the vote looks at.
+
+    Args:
+        means: Centres in the world, shape (N, 3).
+        viewmat: World to camera, shape (4, 4).
+        K: Intrinsics in pixels, shape (3, 3).
+
+    Returns:
+        Pixel coordinates (N, 2), meaningless where the depth is not positive, and depths (N,).
+    """
+    means, viewmat, K = jnp.asarray(means), jnp.asarray(viewmat), jnp.asarray(K)
+    rotated = jnp.matmul(means, viewmat[:3, :3].T, precision="highest")
+    points = rotated + viewmat[None, :3, 3]
+    depths = points[:, 2]
+    rays = points[:, :2] / jnp.where(depths > 0, depths, 1.0)[:, None]
+    return rays * jnp.diag(K)[None, :2] + K[None, :2, 2], depths

@@ -1,0 +1,133 @@
+"""The folder of results: all of it is new, all of it is old, or it holds no results."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+from cli_case import contents
+
+from gsc_jax.cli import staging as publish
+from gsc_jax.cli.options import Locate
+from gsc_jax.cli.staging import OUTPUTS, replacing
+from gsc_jax.scene import InputError
+
+NAMES = ("highlight.ply", "labels.npy", "masks/a.png", "report.html", "result.json")
+README = (Path(__file__).resolve().parents[2] / "README.md").read_text(encoding="utf-8")
+
+
+def write(folder: Path, content: str, names: tuple[str, ...] = NAMES) -> None:
+    """Files of one content, and a report that lists them."""
+    for name in names:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(content)
+    (folder / "result.json").write_text(json.dumps({"run": content, "outputs": names}))
+
+
+@pytest.fixture
+def out(tmp_path) -> Path:
+    """The results of an earlier run, which had another view, and were graded."""
+    out = tmp_path / "out"
+    write(out, "old", (*NAMES, "masks/b.png"))
+    (out / "evaluation.json").write_text("old")
+    return out
+
+
+def test_what_was_there_is_replaced_or_gone(out):
+    (out / "mine.txt").write_text("mine")
+    with replacing(out) as folder:
+        write(folder, "new")
+    assert set(contents(out)) == {*NAMES, "mine.txt"}
+    assert {(out / name).read_text() for name in NAMES[:-1]} == {"new"}
+
+
+@pytest.mark.parametrize("blocked", ["labels.npy", "result.json", "report.html", "masks/a.png"])
+def test_a_folder_in_the_way_leaves_everything_old(out, blocked):
+    (out / blocked).unlink()
+    (out / blocked).mkdir()
+    before = contents(out)
+    with (
+        pytest.raises(InputError, match="is a folder, which is in the way") as refused,
+        replacing(out) as folder,
+    ):
+        write(folder, "new")
+    assert str(refused.value).startswith(f"{out / blocked}: ")
+    assert contents(out) == before
+
+
+def test_a_file_in_the_way_of_a_folder_leaves_everything_old(tmp_path):
+    (tmp_path / "masks").write_text("mine")
+    with pytest.raises(InputError, match="masks: is a file"), replacing(tmp_path) as folder:
+        write(folder, "new")
+    assert contents(tmp_path) == {"masks": b"mine"}
+
+
+@pytest.mark.parametrize("moves", range(len(NAMES)))
+def test_a_disk_that_is_full_leaves_no_report_of_others(out, monkeypatch, moves):
+    """As being killed does: a report is only there beside the files that it is about."""
+    replace, moved = Path.replace, []
+
+    def full(path: Path, target: Path) -> Path:
+        if len(moved) == moves:
+            raise OSError(28, "No space left on device")
+        moved.append(target)
+        return replace(path, target)
+
+    monkeypatch.setattr(Path, "replace", full)
+    with pytest.raises(InputError, match="No space left on device"), replacing(out) as folder:
+        write(folder, "new")
+    assert not (out / "result.json").exists()
+    assert (out / "report.html").exists() == (moves == len(NAMES) - 1)
+    assert not list(out.glob(".*"))
+
+
+def test_of_a_link_the_target_stays(out, tmp_path):
+    precious = tmp_path / "precious.png"
+    precious.write_text("mine")
+    (out / "masks" / "b.png").unlink()
+    (out / "masks" / "b.png").symlink_to(precious)
+    with replacing(out) as folder:
+        write(folder, "new")
+    assert precious.read_text() == "mine"
+    assert not (out / "masks" / "b.png").is_symlink()
+
+
+def test_what_the_run_reads_stays(out):
+    with replacing(out, keep=[out / "masks"]) as folder:
+        write(folder, "new")
+    assert (out / "masks" / "b.png").read_text() == "old"
+    assert not (out / "evaluation.json").exists()
+
+
+@pytest.mark.parametrize("error", [InputError, KeyboardInterrupt, ZeroDivisionError])
+def test_folders_that_were_made_are_gone_when_a_run_fails(tmp_path, error):
+    (tmp_path / "there").mkdir()
+    with pytest.raises(error), replacing(tmp_path / "there" / "new" / "deep" / "out"):
+        raise error("on purpose")
+    assert list(tmp_path.rglob("*")) == [tmp_path / "there"]
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError), replacing(tmp_path / "file" / "out"):
+        pass
+    with replacing(tmp_path / "there" / "new" / "out") as folder:
+        write(folder, "new")
+    assert contents(tmp_path / "there" / "new" / "out")
+
+
+def test_other_results_keep_what_is_called_like_ours(tmp_path):
+    """As those of `tamper`, which know of no report.html and are not graded."""
+    write(tmp_path, "mine", ("report.html", "evaluation.json"))
+    (tmp_path / "result.json").rename(tmp_path / "edit.json")
+    with replacing(tmp_path, report="edit.json", by_camera=("masks",)) as folder:
+        (folder / "edit.json").write_text("new")
+    assert (tmp_path / "report.html").read_text() == "mine"
+    assert (tmp_path / "evaluation.json").read_text() == "mine"
+
+
+def test_people_are_told_of_every_output():
+    listed = (Locate.__doc__ or "").partition("written into the folder")[2].partition("\n\n")[0]
+    names = re.findall(r"(\w+(?:/|\.\w+))(?:,| {2})", listed)
+    assert sorted(names) == sorted(OUTPUTS)
+    table = README.partition("[start:outputs]")[2].partition("[end:outputs]")[0]
+    rows = re.findall(r"^\| (`.*?) \|", table, flags=re.MULTILINE)
+    assert sorted(name for row in rows for name in re.findall(r"`(.+?)`", row)) == sorted(OUTPUTS)
+    assert {name.rstrip("/") for name in OUTPUTS} == {*publish.FILES, *publish.BY_CAMERA}

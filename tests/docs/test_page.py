@@ -1,0 +1,201 @@
+"""The documentation as a site: it builds without a warning, and works in a real browser."""
+
+import functools
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from html.parser import HTMLParser
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+import pytest
+from browser import Browser
+from selenium.webdriver.common.by import By
+from selenium.webdriver.support.wait import WebDriverWait
+
+import gsc_jax
+
+ROOT = Path(__file__).resolve().parents[2]
+SECONDS = 20
+CODE = ("code", "pre", "script", "style")
+OPENED = (
+    *("index", "tutorial", "commands", "method", "formats", "detectors", "results", "performance"),
+    *("limits", "changelog", "reference/index", "reference/losses"),
+)
+"""Pages that the browser opens; the links of all are followed on disk."""
+
+
+class Page(HTMLParser):
+    """What can be linked to in a page, what it links to, what it loads, and its words."""
+
+    def __init__(self, file: Path) -> None:
+        super().__init__()
+        self.anchors: set[str] = set()
+        self.targets: set[str] = set()
+        self.loaded: set[str] = set()
+        self.without_alt: set[str] = set()
+        self.text, self.prose, self._code = "", "", 0
+        self.feed(file.read_text(encoding="utf-8"))
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        known = {key: value or "" for key, value in attrs}
+        self.anchors.add(known.get("id", ""))
+        self.targets |= {known[key] for key in ("href", "src") if key in known}
+        self.loaded |= {known["src"]} if "src" in known else set()
+        self.loaded |= {known.get("href", "")} if tag == "link" else set()
+        self.without_alt |= {known["src"]} if tag == "img" and not known.get("alt") else set()
+        self._code += tag in CODE
+
+    def handle_endtag(self, tag: str) -> None:
+        self._code -= tag in CODE
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+        self.prose += "" if self._code else data
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory) -> Path:
+    """The site as `make docs` builds it."""
+    folder = tmp_path_factory.mktemp("site")
+    built = subprocess.run(
+        [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", folder],
+        cwd=ROOT,
+        env={**os.environ, "NO_MKDOCS_2_WARNING": "1"},
+        capture_output=True,
+        text=True,
+    )
+    assert built.returncode == 0, built.stderr
+    return folder
+
+
+@pytest.fixture(scope="module")
+def pages(site) -> dict[Path, Page]:
+    return {file: Page(file) for file in site.rglob("*.html") if file.name != "404.html"}
+
+
+def test_every_link_leads_somewhere(pages, site):
+    for file, page in pages.items():
+        for target in page.targets:
+            place = urlsplit(target)
+            if place.scheme:
+                continue
+            path = (file.parent / unquote(place.path)).resolve() if place.path else file
+            path = path / "index.html" if path.is_dir() else path
+            assert path.is_file(), f"{file.relative_to(site)} links to {target}, which is missing"
+            if place.fragment and path in pages:
+                anchors = pages[path].anchors
+                assert unquote(place.fragment) in anchors, f"{file.name}: {target} has no anchor"
+
+
+def test_pages_load_nothing_from_elsewhere_and_pictures_have_words(pages):
+    for file, page in pages.items():
+        assert not [url for url in page.loaded if urlsplit(url).scheme or urlsplit(url).netloc]
+        assert not page.without_alt, f"{file.name} has pictures without alt text"
+
+
+def test_markdown_was_understood(pages):
+    for file, page in pages.items():
+        for sign in ("| ---", "--8<--", "<!--", "](", "```", "**"):
+            assert sign not in page.prose, f"{file.name} shows {sign}"
+
+
+def test_every_public_name_has_its_documentation(pages, site):
+    shown = set().union(*(page.anchors for page in pages.values()))
+    index = pages[site / "reference" / "index.html"]
+    for name in gsc_jax.__all__:
+        assert any(anchor.endswith(f".{name}") for anchor in shown) or name == "accumulate"
+        assert name in index.text
+
+
+def test_the_help_texts_are_those_of_the_program(pages, site):
+    text = " ".join(pages[site / "commands.html"].text.split())
+    for command in ("locate", "render", "tamper", "demo", "view", "evaluate"):
+        assert f"usage: gsc-jax {command}" in text
+    for flag in ("--mask-rule", "--dry-run", "--config", "--html", "--truth"):
+        assert flag in text
+
+
+class Quiet(SimpleHTTPRequestHandler):
+    def log_message(self, format, *args):
+        pass
+
+
+@pytest.fixture(scope="module")
+def address(site) -> Iterator[str]:
+    """Where the site is served: its search asks for a file, which pages on disk must not."""
+    with ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(Quiet, directory=site)) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield f"http://127.0.0.1:{server.server_port}"
+        server.shutdown()
+
+
+def wait(browser: Browser) -> WebDriverWait:
+    return WebDriverWait(browser, SECONDS)
+
+
+def nothing_wrong(browser: Browser) -> None:
+    assert browser.complaints() == []
+    assert browser.strangers() == []
+
+
+def test_pages_open_with_their_pictures(browser, address):
+    for page in OPENED:
+        browser.get(f"{address}/{page}.html")
+        assert browser.find_element(By.CSS_SELECTOR, "article h1").text
+        sizes = browser.execute_script(
+            "return [...document.querySelectorAll('article img')].map(i => i.naturalWidth)"
+        )
+        assert all(sizes), f"{page} shows a picture that is not there"
+    nothing_wrong(browser)
+
+
+def test_searching_finds_a_function(browser, address):
+    browser.get(f"{address}/index.html")
+    browser.find_element(By.CSS_SELECTOR, "[data-md-component=search-query]").send_keys("contrast")
+    results = "[data-md-component=search-result] a"
+    wait(browser).until(lambda b: "loss_3d" in _text(b, results))
+    nothing_wrong(browser)
+
+
+def _text(browser: Browser, selector: str) -> str:
+    return browser.execute_script(
+        "return [...document.querySelectorAll(arguments[0])].map(e => e.textContent).join(' ')",
+        selector,
+    )
+
+
+def test_light_and_dark_can_be_switched(browser, address):
+    browser.get(f"{address}/index.html")
+    before = _background(browser)
+    browser.execute_script("document.querySelector('label[for^=__palette_]:not([hidden])').click()")
+    wait(browser).until(lambda b: _background(b) != before)
+    after = _background(browser)
+    browser.get(f"{address}/method.html")
+    assert _background(browser) == after, "the choice is forgotten on the next page"
+    nothing_wrong(browser)
+
+
+def _background(browser: Browser) -> str:
+    return browser.execute_script("return getComputedStyle(document.body).backgroundColor")
+
+
+def test_it_can_be_read_without_a_server(browser, site):
+    browser.get((site / "index.html").as_uri())
+    browser.find_element(By.LINK_TEXT, "Tutorial").click()
+    wait(browser).until(lambda b: b.current_url.endswith("tutorial.html"))
+    assert "A scene with a known truth" in browser.find_element(By.TAG_NAME, "article").text
+    assert browser.strangers() == []
+
+
+def test_nothing_is_cut_off_on_a_phone(browser, address):
+    browser.set_window_size(500, 900)
+    for page in ("index", "method", "results", "reference/losses"):
+        browser.get(f"{address}/{page}.html")
+        width = browser.execute_script(
+            "return [document.documentElement.scrollWidth, window.innerWidth]"
+        )
+        assert width[0] <= width[1], f"{page} is wider than the screen"

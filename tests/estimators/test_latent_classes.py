@@ -1,0 +1,71 @@
+"""Latent classes: they are found again in what was drawn from them, and their number with them."""
+
+import numpy as np
+import pytest
+
+from gsc_jax.estimators.robust.latent_classes import RATE_FLOOR, fit_classes
+
+RATES = np.array(
+    [[0.1, 0.1, 0.1, 0.1, 0.1, 0.1], [0.9, 0.9, 0.1, 0.9, 0.9, 0.9], [0.1, 0.9, 0.9, 0.1, 0.9, 0.1]]
+)
+SHARES = np.array([0.6, 0.25, 0.15])
+
+
+def drawn(count: int = 1500, looks: int = 8, seed: int = 0):
+    rng = np.random.default_rng(seed)
+    kinds = rng.choice(3, count, p=SHARES)
+    seen = rng.random((6, count)) < 0.8
+    flagged = rng.binomial(looks, RATES[kinds].T) * seen
+    return kinds, flagged.astype(np.float32), (looks * seen - flagged).astype(np.float32)
+
+
+def test_the_rates_and_shares_are_found_again():
+    _, flagged, clear = drawn()
+    fit = fit_classes(flagged, clear, counts=(3,), restarts=4)
+    order = np.argsort(-np.asarray(fit.classes.shares))
+    np.testing.assert_allclose(np.asarray(fit.classes.rates)[order], RATES, atol=0.03)
+    np.testing.assert_allclose(np.asarray(fit.classes.shares)[order], SHARES, atol=0.03)
+
+
+def test_the_data_choose_the_number_of_classes():
+    _, flagged, clear = drawn()
+    fit = fit_classes(flagged, clear, counts=(2, 3, 6), restarts=3)
+    assert np.sum(np.asarray(fit.classes.shares) > 0) == 3
+    assert np.asarray(fit.criterion).shape == np.asarray(fit.iterations).shape == (9,)
+
+
+def test_belonging_tells_the_kinds_apart_and_adds_up_to_one():
+    kinds, flagged, clear = drawn()
+    fit = fit_classes(flagged, clear, counts=(3,), restarts=4)
+    belongs = np.asarray(fit.belongs)
+    np.testing.assert_allclose(belongs.sum(axis=0), 1, atol=1e-5)
+    order = np.argsort(-np.asarray(fit.classes.shares))
+    assert np.mean(np.argmax(belongs[order], axis=0) == kinds) > 0.98
+
+
+def test_rates_are_never_certain_and_unseen_gaussians_say_nothing():
+    flagged, clear = np.zeros((6, 1500), np.float32), np.zeros((6, 1500), np.float32)
+    flagged[:, :10] = 1e6
+    fit = fit_classes(flagged, clear, counts=(2,))
+    rates = np.asarray(fit.classes.rates)
+    assert RATE_FLOOR <= rates.min() <= rates.max() <= 1 - RATE_FLOOR
+    belongs = np.asarray(fit.belongs)
+    np.testing.assert_allclose(belongs[:, -1], np.asarray(fit.classes.shares), atol=1e-6)
+
+
+def test_the_fit_is_the_same_again_and_another_seed_starts_elsewhere():
+    _, flagged, clear = drawn()
+    one, again, other = (fit_classes(flagged, clear, counts=(3,), seed=s) for s in (0, 0, 1))
+    assert np.array_equal(one.classes.rates, again.classes.rates)
+    assert not np.array_equal(one.criterion, other.criterion)
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"counts": ()}, {"counts": (0,)}, {"counts": (2,), "restarts": 0}]
+)
+def test_nothing_to_choose_from_is_refused(wrong):
+    _, flagged, clear = drawn()
+    with pytest.raises(ValueError, match="numbers of classes"):
+        fit_classes(flagged, clear, **wrong)
+    with pytest.raises(ValueError, match="at least one Gaussian"):
+        fit_classes(flagged[:, :0], clear[:, :0], counts=(2,))

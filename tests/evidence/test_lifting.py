@@ -1,0 +1,74 @@
+"""The evidence: what two Gaussians must receive, bounds, and the gradient it stands for."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from hypothesis import given
+from hypothesis.extra import numpy as hnp
+from strategies import blobs, camera, random_scene
+
+from gsc_jax.evidence.lifting import Evidence, view_evidence
+from gsc_jax.evidence.storage import blank_evidence
+from gsc_jax.losses import loss_2d, loss_2d_from_evidence
+from gsc_jax.render.tiles import make_view
+from gsc_jax.splat import accumulate, composite, render_features
+
+CAMERA = camera(17, 15)
+SCENE = random_scene(40)
+VIEW = make_view(SCENE, CAMERA)
+
+
+def test_a_hidden_gaussian_has_no_evidence_and_is_not_seen():
+    wall = [[0, 0, 1]] * 3
+    scene = blobs([*wall, [0, 0, 5]], opacity=0.999, scale=5.0)
+    evidence = view_evidence(make_view(scene, CAMERA), np.ones((15, 17), bool))
+    assert evidence.seen.tolist()[0] is True
+    assert not evidence.seen[3], "the hidden Gaussian is seen through three opaque walls"
+
+
+@given(hnp.arrays(bool, (15, 17)))
+def test_what_is_tampered_is_part_of_what_is_seen(mask):
+    evidence = view_evidence(VIEW, mask)
+    assert np.all(np.asarray(evidence.tampered) >= 0)
+    unclamped = accumulate(VIEW, jnp.asarray(mask, jnp.float32)[..., None])[:, 0]
+    assert np.all(unclamped <= evidence.total * (1 + 1e-6) + 1e-6)
+    complement = view_evidence(VIEW, ~mask)
+    np.testing.assert_allclose(evidence.tampered + complement.tampered, evidence.total, atol=1e-4)
+
+
+def test_the_weights_of_a_view_add_up_to_its_alpha():
+    evidence = view_evidence(VIEW, np.zeros((15, 17)))
+    alpha = render_features(SCENE, CAMERA, np.zeros((40, 1), np.float32))[1]
+    np.testing.assert_allclose(jnp.sum(evidence.total), jnp.sum(alpha), rtol=1e-5)
+
+
+@given(hnp.arrays(bool, (15, 17)))
+def test_it_is_the_gradient_of_the_rendered_loss(mask):
+    def rendered_loss(r):
+        return loss_2d(composite(VIEW, r[:, None])[..., 0], mask)
+
+    r = jnp.linspace(-1, 1, 40)
+    gradient = jax.grad(loss_2d_from_evidence)(r, view_evidence(VIEW, mask))
+    np.testing.assert_allclose(jax.grad(rendered_loss)(r), gradient, rtol=1e-4, atol=1e-4)
+
+
+def test_what_any_view_sees_is_seen():
+    total = np.array([[0, 1, 0], [0, 0, 2]], np.float32)
+    assert Evidence(total=total, tampered=0 * total).seen.tolist() == [False, True, True]
+
+
+def test_large_evidence_lies_in_a_file_and_reads_the_same():
+    filled = [blank_evidence(3, 5, in_memory=limit) for limit in (0, 2**20)]
+    on_disk, in_memory = filled
+    assert isinstance(on_disk.total, np.memmap)
+    assert not isinstance(in_memory.total, np.memmap)
+    for evidence in filled:
+        assert evidence.says_nothing
+        assert not evidence.seen.any()
+        evidence.total[1], evidence.tampered[1] = np.arange(5), np.arange(5)
+        assert evidence.seen.tolist() == [False, True, True, True, True]
+        assert evidence.says_everything
+        evidence.tampered[1, 2] = 0
+        assert not evidence.says_nothing
+        assert not evidence.says_everything
+    assert np.array_equal(on_disk.tampered, in_memory.tampered)

@@ -1,0 +1,94 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from difference import DifferenceDetector
+from distort import DISTORTIONS, Distorted, image_noise
+from strategies import blobs, camera
+
+from gsc_jax.evidence.detector import Detector
+from gsc_jax.splat import render
+
+CAMERA = camera(64, 48, focal=60.0)
+WALL = [[x, y, 4.0] for x in np.linspace(-3, 3, 25) for y in np.linspace(-2.4, 2.4, 19)]
+
+
+def painted(thing_at):
+    """A grey wall, and a small white thing before it."""
+    scene = blobs([*WALL, thing_at], opacity=0.95, scale=0.12)
+    sh = np.array(scene.sh)
+    sh[:-1] += np.random.default_rng(0).normal(0, 0.3, sh[:-1].shape)
+    sh[-1] = 1.7
+    return dataclasses.replace(scene, sh=sh.astype(np.float32))
+
+
+AUTHENTIC, TAMPERED = painted([-0.8, 0, 3]), painted([0.8, 0, 3])
+DETECTOR = DifferenceDetector(AUTHENTIC)
+
+
+def picture(scene):
+    return np.asarray(render(scene, CAMERA)[0])
+
+
+def test_the_authentic_scene_is_authentic():
+    assert (DETECTOR(picture(AUTHENTIC), CAMERA) < 0.5).all()
+
+
+def test_where_the_thing_was_and_is_is_flagged_and_nothing_else():
+    said = DETECTOR(picture(TAMPERED), CAMERA)
+    assert said.dtype == np.float32
+    assert said.shape == (48, 64)
+    places = np.zeros((48, 64), bool)
+    for column in (16, 48):
+        assert said[24, column] > 0.5, "the moved thing is not found"
+        places[14:34, column - 10 : column + 10] = True
+    assert not (said > 0.5)[~places].any()
+
+
+def f1(detector):
+    flagged = detector(picture(TAMPERED), CAMERA) > 0.5
+    truth = DETECTOR(picture(TAMPERED), CAMERA) > 0.5
+    return 2 * (flagged & truth).sum() / (flagged.sum() + truth.sum())
+
+
+def test_noise_and_blur_make_it_worse():
+    found = {name: f1(row.of_detector(DETECTOR, seed=0)) for name, row in DISTORTIONS.items()}
+    assert found["none"] == 1
+    assert found["noise"] < 0.99
+    assert found["blur"] < 0.99
+    strong = Distorted(DETECTOR, lambda image, seed: image_noise(image, sigma=0.2, seed=seed))
+    assert f1(strong) < 0.5
+
+
+@pytest.mark.parametrize("level", [0.01, 0.06, 0.3])
+def test_level_is_where_probability_passes_one_half(level):
+    original = picture(AUTHENTIC)
+    brighter = (original * 0.5 + 0.5 * np.minimum(original + 0.4, 1)).astype(np.float32)
+    sharp = DifferenceDetector(AUTHENTIC, level=level, smooth=0.0)
+    difference = np.abs(brighter.astype(np.float64) - original).mean(axis=-1)
+    said, clear = sharp(brighter, CAMERA), np.abs(difference - level) > 1e-6
+    np.testing.assert_array_equal((said > 0.5)[clear], (difference > level)[clear])
+
+
+def test_smoothing_forgives_single_pixels():
+    image = picture(AUTHENTIC)
+    image = image.copy()
+    image[10, 10] = 1 - image[10, 10].round()
+    assert DifferenceDetector(AUTHENTIC, smooth=0.0)(image, CAMERA)[10, 10] > 0.5
+    assert not (DETECTOR(image, CAMERA) > 0.5).any()
+
+
+def test_it_is_a_detector_for_all_cameras_that_asks_for_the_right_image():
+    detector: Detector = DETECTOR
+    assert detector.needs_image
+    assert detector.select([CAMERA, CAMERA]) == [CAMERA, CAMERA]
+    with pytest.raises(ValueError, match=r"expected an image \(48, 64, 3\), got \(48, 63, 3\)"):
+        detector(np.zeros((48, 63, 3)), CAMERA)
+    with pytest.raises(ValueError, match="got None"):
+        detector(None, CAMERA)
+
+
+@pytest.mark.parametrize("option", [{"level": -0.1}, {"smooth": -1.0}, {"width": 0.0}])
+def test_options_out_of_range_are_refused(option):
+    with pytest.raises(ValueError, match="expected level and smooth of at least 0"):
+        DifferenceDetector(AUTHENTIC, **option)

@@ -1,0 +1,195 @@
+import dataclasses
+import subprocess
+import sys
+
+import jax
+import numpy as np
+import pytest
+from distort import (
+    DISTORTIONS,
+    Distorted,
+    image_blur,
+    image_noise,
+    opacity_noise,
+    scale_noise,
+)
+from hypothesis import given
+from hypothesis import strategies as st
+from strategies import camera, floats, random_scene, scenes, with_row
+
+from gsc_jax.evidence.detector import Detector
+from gsc_jax.scene import invalid_rows
+
+IMAGE = np.random.default_rng(0).random((40, 60, 3)).astype(np.float32)
+CAMERA = camera(60, 40)
+
+
+def named(name):
+    return dataclasses.replace(CAMERA, name=name)
+
+
+@given(floats((9, 7, 3), 0, 1), st.sampled_from([0.0, 0.05, 3.0]), st.integers(0, 9))
+def test_distorted_images_are_images(image, sigma, seed):
+    for distorted in (image_noise(image, sigma=sigma, seed=seed), image_blur(image, sigma=sigma)):
+        assert distorted.dtype == np.float32
+        assert distorted.shape == image.shape
+        assert distorted.min() >= -1e-6
+        assert distorted.max() <= 1 + 1e-6
+        if sigma == 0:
+            np.testing.assert_allclose(distorted, image, atol=1e-6)
+
+
+def test_noise_has_its_strength_and_no_bias():
+    grey = np.full((200, 200, 3), 0.5, np.float32)
+    difference = image_noise(grey, sigma=0.05, seed=0) - grey
+    assert difference.std() == pytest.approx(0.05, rel=0.02)
+    assert abs(difference.mean()) < 1e-3
+    correlation = np.asarray(np.corrcoef(difference.reshape(-1, 3).T))[np.triu_indices(3, 1)]
+    assert np.abs(correlation).max() < 0.02, "the channels share their noise"
+
+
+def test_blur_spreads_a_point_by_its_sigma_and_keeps_the_channels_apart():
+    point = np.zeros((41, 41, 3), np.float32)
+    point[20, 20, 0] = 1
+    blurred = image_blur(point, sigma=1.5)
+    y, x = np.indices((41, 41)) - 20
+    assert blurred[..., 0].sum() == pytest.approx(1, abs=1e-3)
+    assert (blurred[..., 0] * x**2).sum() == pytest.approx(1.5**2, rel=0.05)
+    assert (blurred[..., 0] * y**2).sum() == pytest.approx(1.5**2, rel=0.05)
+    assert not blurred[..., 1:].any()
+
+
+@given(scenes(), st.sampled_from(["scales", "opacities"]), st.integers(0, 9))
+def test_distorted_models_are_the_same_but_for_one_field(scene, name, seed):
+    model = DISTORTIONS[name].of_model(scene, seed=seed)
+    field = {"scales": "log_scales", "opacities": "logit_opacities"}[name]
+    for other in {f.name for f in dataclasses.fields(scene)} - {field}:
+        np.testing.assert_array_equal(getattr(model, other), getattr(scene, other))
+    assert getattr(model, field).dtype == np.float32
+    assert getattr(model, field).shape == getattr(scene, field).shape
+    assert not np.array_equal(getattr(model, field), getattr(scene, field))
+    assert not any(rows.any() for rows in invalid_rows(model).values())
+
+
+@given(scenes(), st.integers(0, 9))
+def test_no_noise_changes_nothing(scene, seed):
+    same = scale_noise(opacity_noise(scene, sigma=0.0, seed=seed), sigma=0.0, seed=seed)
+    np.testing.assert_array_equal(same.log_scales, scene.log_scales)
+    np.testing.assert_allclose(same.opacities, scene.opacities, atol=2e-6)
+
+
+def test_model_noise_has_its_strength():
+    scene = random_scene(20_000)
+    factors = np.log(scale_noise(scene, sigma=0.1, seed=0).scales / scene.scales)
+    assert factors.std() == pytest.approx(0.1, rel=0.03)
+    assert np.abs(np.corrcoef(factors.T)[np.triu_indices(3, 1)]).max() < 0.03
+    middling = np.abs(np.asarray(scene.opacities) - 0.5) < 0.1
+    noisy = np.asarray(opacity_noise(scene, sigma=0.1, seed=0).opacities)
+    assert (noisy - scene.opacities)[middling].std() == pytest.approx(0.1, rel=0.05)
+    assert abs((noisy - scene.opacities)[middling].mean()) < 0.01
+
+
+def test_infinite_logits_are_opacities_of_0_and_1_and_damage_stays_visible():
+    scene = random_scene(4)
+    logits = np.array([np.inf, -np.inf, np.nan, 0], np.float32)
+    scene = dataclasses.replace(scene, logit_opacities=logits)
+    noisy = [opacity_noise(scene, sigma=0.1, seed=s).logit_opacities for s in range(20)]
+    assert np.isfinite(np.array(noisy)[:, [0, 1, 3]]).all()
+    assert np.isnan(np.array(noisy)[:, 2]).all()
+    opacities = np.asarray(jax.nn.sigmoid(np.array(noisy)))
+    assert opacities[:, 0].min() > 0.5 > opacities[:, 1].max()
+    assert opacities[:, 0].max() > 0.999 > 0.001 > opacities[:, 1].min()
+
+
+def test_a_scale_of_0_stays_0():
+    scene = with_row(random_scene(3), "log_scales", -np.inf)
+    assert np.isneginf(scale_noise(scene, sigma=0.1, seed=0).log_scales[0]).all()
+
+
+@pytest.mark.parametrize("noise", [scale_noise, opacity_noise])
+def test_model_noise_follows_its_seed_and_accepts_device_arrays(noise):
+    scene = random_scene(5)
+    one, same, other = (
+        jax.tree.leaves(noise(s, sigma=0.1, seed=seed))
+        for s, seed in ((scene, 0), (jax.tree.map(jax.numpy.asarray, scene), 0), (scene, 1))
+    )
+    for leaf, again in zip(one, same, strict=True):
+        np.testing.assert_array_equal(leaf, again)
+    assert not all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
+
+
+def shown(name, *, seed=0):
+    """What a detector sees of the image under the noise of the table."""
+    seen = []
+    detector = DISTORTIONS["noise"].of_detector(
+        lambda image: seen.append(image) or np.zeros((40, 60)), seed=seed
+    )
+    detector(IMAGE, named(name))
+    return seen[0]
+
+
+def test_the_detector_sees_the_distorted_image_by_camera_and_seed():
+    assert np.std(shown("a") - IMAGE) == pytest.approx(0.05, rel=0.2)
+    np.testing.assert_array_equal(shown("a"), shown("a"))
+    assert not np.array_equal(shown("a"), shown("b")), "two cameras share their noise"
+    assert not np.array_equal(shown("a"), shown("a", seed=1))
+    assert shown("left/img.0001 ü").shape == IMAGE.shape
+
+
+def test_noise_is_the_same_in_another_process():
+    code = "import test_distort as t; print(repr(float(t.shown('a', seed=3).astype('f8').sum())))"
+    run = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=True,
+        env={"PYTHONHASHSEED": "1", "PYTHONPATH": ":".join(sys.path), "JAX_PLATFORMS": "cpu"},
+    )
+    assert float(run.stdout) == float(shown("a", seed=3).astype("f8").sum())
+
+
+class Shy:
+    """A detector that speaks on some cameras only and has a warning."""
+
+    needs_image = True
+    warnings = ("shy",)
+
+    def select(self, cameras):
+        return [camera for camera in cameras if camera.name == "a"]
+
+    def __call__(self, image, camera):
+        del camera
+        return np.full((2, 3), image.mean(), np.float32)
+
+
+def test_all_else_is_the_wrapped_detectors():
+    wrapped: Detector = Distorted(Shy(), lambda image, **_: image * 0 + 0.25)
+    assert wrapped.needs_image
+    assert [c.name for c in wrapped.select([named("a"), named("b")])] == ["a"]
+    assert list(getattr(wrapped, "warnings", ())) == ["shy"]
+    np.testing.assert_array_equal(wrapped(IMAGE, named("a")), np.full((2, 3), 0.25))
+    silent = Distorted(lambda image: image[..., 0], lambda image, **_: image)
+    assert list(silent.warnings) == []
+    np.testing.assert_array_equal(silent(IMAGE, CAMERA), IMAGE[..., 0])
+    with pytest.raises(ValueError, match="'a': there is no image to distort"):
+        wrapped(None, named("a"))
+
+
+def test_the_rows_of_the_table_are_the_stated_ones():
+    assert list(DISTORTIONS) == ["none", "noise", "blur", "scales", "opacities"]
+    scene, detector = random_scene(6), Shy()
+    for name, distortion in DISTORTIONS.items():
+        of_image, of_model = name in ("noise", "blur"), name in ("scales", "opacities")
+        assert isinstance(distortion.of_detector(detector, seed=0), Distorted) == of_image
+        assert (distortion.of_model(scene, seed=0) is not scene) == of_model
+    blurred = DISTORTIONS["blur"].image
+    assert blurred is not None
+    np.testing.assert_array_equal(blurred(IMAGE, seed=0), image_blur(IMAGE, sigma=1.5))
+    noisy = DISTORTIONS["scales"].of_model(scene, seed=2)
+    np.testing.assert_array_equal(
+        noisy.log_scales, scale_noise(scene, sigma=0.1, seed=2).log_scales
+    )
+    noisy = DISTORTIONS["opacities"].of_model(scene, seed=2)
+    np.testing.assert_array_equal(
+        noisy.logit_opacities, opacity_noise(scene, sigma=0.1, seed=2).logit_opacities
+    )

@@ -1,0 +1,173 @@
+"""The projection against the float64 reference, and what it does with rows nobody can render."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import reference
+from hypothesis import given
+from hypothesis import strategies as st
+from strategies import blobs, camera, random_scene, scenes, with_row
+
+from gsc_jax.render.projection import MIN_ALPHA, project, project_centers
+from gsc_jax.scene import invalid_rows
+
+SIZES = [(1, 1), (15, 17), (33, 1), (17, 33)]
+CLOSE_TO_THE_BORDER = 1e-3
+"""Pixels within which rounding may decide whether a splat touches the image."""
+
+
+def visible_in(expected: reference.Projection, width: int, height: int, *, margin: float):
+    """Which Gaussians the reference sees when the image is `margin` pixels larger all around."""
+    low, high = expected.means - expected.extents, expected.means + expected.extents
+    touches = (high > -margin).all(axis=1) & (low < np.array([width, height]) + margin).all(axis=1)
+    return expected.in_front & touches & (expected.opacities > MIN_ALPHA)
+
+
+def tilted(width: int, height: int):
+    """A camera that is rotated, moved, and has its principal point off the centre."""
+    view = np.eye(4)
+    view[:3, :3] = reference.rotations(np.array([[0.95, 0.15, -0.2, 0.1]]))[0]
+    view[:3, 3] = [0.2, -0.1, 0.3]
+    shift = np.array([[0, 0, 3.3], [0, 2, -2.1], [0, 0, 0]], np.float32)
+    straight = camera(width, height, viewmat=view, focal=25)
+    return dataclasses.replace(straight, K=straight.K + shift)
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_splats_are_those_of_the_reference(size):
+    gaussians, view = random_scene(200), tilted(*size)
+    splats, expected = project(gaussians, view), reference.project(gaussians, view)
+    seen = np.asarray(splats.visible)
+    assert 5 < seen.sum() < 200, "the scene has both visible and invisible Gaussians"
+    covs = expected.covs[:, [0, 0, 1], [0, 1, 1]]
+    reach = 2 * np.log(np.maximum(expected.opacities, 1e-9) * 255)
+    np.testing.assert_allclose(splats.means[seen], expected.means[seen], rtol=1e-5, atol=1e-5)
+    scale = covs[seen].max(axis=1, keepdims=True)
+    np.testing.assert_allclose(splats.covs[seen] / scale, covs[seen] / scale, atol=2e-6)
+    np.testing.assert_allclose(splats.depths[seen], expected.depths[seen], rtol=1e-6)
+    np.testing.assert_allclose(splats.opacities[seen], expected.opacities[seen], rtol=1e-6)
+    np.testing.assert_allclose(splats.reach[seen], reach[seen], rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_visible_is_what_touches_the_image(size):
+    gaussians, view = random_scene(200, seed=1), tilted(*size)
+    seen = np.asarray(project(gaussians, view).visible)
+    expected = reference.project(gaussians, view)
+    surely = visible_in(expected, *size, margin=-CLOSE_TO_THE_BORDER)
+    perhaps = visible_in(expected, *size, margin=CLOSE_TO_THE_BORDER)
+    assert not (surely & ~seen).any(), "a splat that touches the image is invisible"
+    assert not (seen & ~perhaps).any(), "a splat is visible that cannot touch the image"
+
+
+@pytest.mark.parametrize("aspect", [1, 1e2, 1e4, 1e6])
+def test_whitening_gives_the_exponent_of_any_needle(aspect):
+    gaussians, view = random_scene(200), tilted(17, 33)
+    needles = np.log(np.tile([aspect * 1e-3, 1e-3, 1e-3], (200, 1))).astype(np.float32)
+    gaussians = dataclasses.replace(gaussians, log_scales=needles)
+    splats, expected = project(gaussians, view), reference.project(gaussians, view)
+    seen = np.flatnonzero(splats.visible)
+    a, b, c = np.asarray(splats.whitening, np.float64)[seen].T
+    matrix = np.stack([np.stack([a, b], -1), np.stack([0 * c, c], -1)], axis=1)
+    product = 2 * matrix.transpose(0, 2, 1) @ matrix @ expected.covs[seen]
+    # Entries of the covariance reach aspect^2, so the identity comes out to that times rounding.
+    size = np.linalg.norm(expected.covs[seen], axis=(1, 2))
+    worst = np.abs(product - np.eye(2)).max(axis=(1, 2)) / np.maximum(size, 1)
+    assert len(seen) > 5
+    assert worst.max() < 1e-5
+
+
+def test_the_near_plane_cuts_what_is_closer():
+    gaussians = blobs([[0, 0, z] for z in (-1, 0, 0.1, 0.19, 0.21, 1)])
+    assert project(gaussians, camera()).visible.tolist() == [False] * 4 + [True] * 2
+    assert project(gaussians, camera(), near=0.05).visible.tolist() == [False] * 2 + [True] * 4
+    assert project(gaussians, camera(), near=0.5).visible.tolist() == [False] * 5 + [True]
+
+
+def test_a_gaussian_too_faint_for_any_pixel_is_invisible():
+    faint, enough = (blobs([0, 0, 2], opacity=o) for o in (0.99 / 255, 1.01 / 255))
+    assert not project(faint, camera()).visible[0]
+    assert project(enough, camera()).visible[0]
+
+
+ROWS = {
+    "means": [np.nan, np.inf, -np.inf],
+    "log_scales": [np.nan, np.inf, 89.0, 3e38],
+    "quats": [np.nan, np.inf, -np.inf],
+    "logit_opacities": [np.nan, -np.inf, -3e38],
+}
+
+
+@pytest.mark.usefixtures("nan_is_an_error")
+@pytest.mark.parametrize(("field", "value"), [(f, v) for f, values in ROWS.items() for v in values])
+def test_a_row_that_cannot_be_rendered_is_invisible_and_finite(field, value):
+    gaussians = blobs([[0, 0, 2], [0, 0.1, 2]])
+    assert project(gaussians, camera()).visible.all()
+    splats = project(with_row(gaussians, field, value), camera())
+    assert splats.visible.tolist() == [False, True]
+    for leaf in jax.tree.leaves(splats):
+        assert np.isfinite(leaf).all()
+    assert not np.asarray(splats.reach)[0].any(), "the placeholder reaches somewhere"
+
+
+@pytest.mark.parametrize(("field", "value"), [(f, v) for f, values in ROWS.items() for v in values])
+def test_rows_that_loading_drops_are_invisible_here_too(field, value):
+    broken = with_row(blobs([[0, 0, 2], [0, 0.1, 2]]), field, value)
+    dropped = np.any(list(invalid_rows(broken).values()), axis=0)
+    assert not (dropped & np.asarray(project(broken, camera()).visible)).any()
+
+
+@pytest.mark.usefixtures("nan_is_an_error")
+def test_extreme_but_legal_rows_are_rendered():
+    ordinary = blobs([0, 0, 2], opacity=0.9)
+    opaque = project(with_row(ordinary, "logit_opacities", np.inf), camera())
+    assert opaque.visible[0]
+    assert opaque.opacities[0] == 1
+    point = project(with_row(ordinary, "log_scales", -np.inf), camera())
+    assert point.visible[0]
+    np.testing.assert_allclose(point.covs[0], [0.3, 0, 0.3], atol=1e-7)
+    zero = project(with_row(ordinary, "quats", 0), camera())
+    np.testing.assert_array_equal(zero.covs, project(ordinary, camera()).covs)
+    assert zero.visible[0]
+
+
+@pytest.mark.usefixtures("nan_is_an_error")
+@pytest.mark.parametrize("log_scale", [5.0, 20.0, 40.0])
+def test_a_huge_gaussian_covers_the_image(log_scale):
+    huge = with_row(blobs([0, 0, 2], opacity=0.9), "log_scales", log_scale)
+    splats = project(huge, camera())
+    assert splats.visible[0], "the splat is invisible"
+    assert np.isfinite(splats.whitening).all()
+
+
+def test_the_jacobian_is_clamped_outside_the_field_of_view():
+    """Just before the near plane and far aside, the linear map would smear over the image."""
+    aside = blobs([[1.5, 0, 0.25], [3.0, 0, 0.25], [3.0, -2.0, 0.25]], opacity=0.9, scale=0.8)
+    splats, expected = project(aside, camera()), reference.project(aside, camera())
+    covs = expected.covs[:, [0, 0, 1], [0, 1, 1]]
+    seen = np.asarray(splats.visible)
+    assert seen[0]
+    np.testing.assert_allclose(splats.covs[seen], covs[seen], rtol=1e-5)
+    slope = (0.5 + 0.15) * 17 / 20
+    unclamped = covs[0, 0] + (20 * 0.8 / 0.25) ** 2 * (6**2 - slope**2)
+    assert unclamped > 5 * covs[0, 0], "the clamp makes no difference here"
+
+
+@given(scenes(), st.sampled_from([-1.0, 1e-25, 0.5, -3.0, 1e6, 1e25]))
+def test_scaling_or_negating_quaternions_changes_nothing(gaussians, factor):
+    scaled = dataclasses.replace(gaussians, quats=gaussians.quats * np.float32(factor))
+    before, after = project(gaussians, camera()), project(scaled, camera())
+    np.testing.assert_allclose(after.covs, before.covs, rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(after.whitening, before.whitening, rtol=1e-3, atol=1e-5)
+
+
+def test_centers_alone_are_the_means_of_the_splats():
+    gaussians, view = random_scene(50), tilted(17, 33)
+    means, depths = project_centers(jnp.asarray(gaussians.means), view.viewmat, view.K)
+    expected = reference.project(gaussians, view)
+    front = expected.in_front
+    np.testing.assert_allclose(means[front], expected.means[front], rtol=1e-5, atol=1e-4)
+    np.testing.assert_allclose(depths[front], expected.depths[front], rtol=1e-6)

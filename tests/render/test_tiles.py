@@ -1,0 +1,175 @@
+"""The tile lists against brute force: every pair that matters, no other, in depth order."""
+
+import dataclasses
+from typing import SupportsIndex
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import reference
+from strategies import blobs, camera, random_scene
+
+from gsc_jax.render.projection import project
+from gsc_jax.render.tiles import TILE, _ends, bin_splats, make_view, restricted
+from gsc_jax.scene import InputError
+from gsc_jax.splat import composite
+
+SIZES = [(1, 1), (15, 17), (33, 1), (17, 33), (64, 48)]
+MARGIN = 1e-3
+"""Relative distance from alpha 1/255 within which rounding may decide."""
+
+
+def needles(count: int, *, length: float, seed: int = 0):
+    scene = random_scene(count, seed=seed)
+    log_scales = np.log(np.tile([length, 1e-3, 1e-3], (count, 1))).astype(np.float32)
+    return dataclasses.replace(scene, log_scales=log_scales)
+
+
+SCENES = {
+    "blobs": random_scene(150),
+    "faint": dataclasses.replace(random_scene(150), logit_opacities=np.full(150, -5.2, np.float32)),
+    "needles": needles(150, length=10.0),
+    "long needles": needles(150, length=1e6),
+}
+
+
+def listed(lists, tiles: int, count: int) -> np.ndarray:
+    """The lists as a table, (tiles, N) bool."""
+    table = np.zeros((tiles, count), bool)
+    table[np.repeat(np.arange(tiles), lists.counts), lists.ids] = True
+    return table
+
+
+def largest_alphas(gaussians, view) -> tuple[np.ndarray, np.ndarray]:
+    """Largest alpha of every splat in every tile, (tiles, N): at a pixel centre, and anywhere.
+
+    Anywhere means inside the rectangle that the pixel centres of the tile span.
+    """
+    projection = reference.project(gaussians, view)
+    columns, rows = -(-view.width // TILE), -(-view.height // TILE)
+    at_pixels, anywhere = np.zeros((2, rows * columns, len(gaussians)))
+    for tile in range(rows * columns):
+        left, top = TILE * (tile % columns), TILE * (tile // columns)
+        size = min(TILE, view.width - left), min(TILE, view.height - top)
+        pixels = reference.pixel_centers(left, top, *size)
+        low, high = np.array([left, top]) + 0.5, np.array([left, top]) + TILE - 0.5
+        for i in np.flatnonzero(projection.in_front):
+            at_pixels[tile, i] = reference.alphas(projection, i, pixels).max()
+            nearest = _nearest_in_box(projection, i, low, high)
+            anywhere[tile, i] = reference.alphas(projection, i, nearest).max()
+    return at_pixels, anywhere
+
+
+def _nearest_in_box(projection, i: SupportsIndex, low, high) -> np.ndarray:
+    """Points of a box among which is that of the largest alpha: the centre, or one of each side."""
+    mean = projection.means[i]
+    if (low <= mean).all() and (mean <= high).all():
+        return mean[None]
+    (a, b), (_, c) = projection.covs[i]
+    # On a side x = const the exponent is least at dy = dx b / a, and alike on y = const.
+    points = [
+        (x, np.clip(mean[1] + (x - mean[0]) * b / a, low[1], high[1])) for x in (low[0], high[0])
+    ]
+    points += [
+        (np.clip(mean[0] + (y - mean[1]) * b / c, low[0], high[0]), y) for y in (low[1], high[1])
+    ]
+    return np.array(points)
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("scene", SCENES)
+def test_lists_are_exact(scene, size):
+    gaussians, view = SCENES[scene], camera(*size)
+    lists = bin_splats(project(gaussians, view), *size)
+    at_pixels, anywhere = largest_alphas(gaussians, view)
+    table = listed(lists, *at_pixels.shape)
+    assert lists.counts.sum() == table.sum(), "a splat is listed twice in a tile"
+    missing = (at_pixels > reference.MIN_ALPHA * (1 + MARGIN)) & ~table
+    assert not missing.any(), f"{missing.sum()} pairs that matter are not listed"
+    needless = (anywhere < reference.MIN_ALPHA * (1 - MARGIN)) & table
+    assert not needless.any(), f"{needless.sum()} pairs are listed whose ellipse misses the tile"
+
+
+def test_almost_every_listed_pair_covers_a_pixel():
+    gaussians, view = SCENES["blobs"], camera(64, 48)
+    lists = bin_splats(project(gaussians, view), 64, 48)
+    at_pixels, _ = largest_alphas(gaussians, view)
+    table = listed(lists, *at_pixels.shape)
+    useless = table & (at_pixels < reference.MIN_ALPHA)
+    assert table.sum() > 300
+    assert useless.sum() < 0.02 * table.sum(), f"{useless.sum()} of {table.sum()} cover no pixel"
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_lists_follow_one_another_and_are_in_depth_order(size):
+    gaussians, view = SCENES["blobs"], camera(*size)
+    splats = project(gaussians, view)
+    lists, depths = bin_splats(splats, *size), np.asarray(splats.depths)
+    assert len(lists.counts) == -(-size[0] // 8) * -(-size[1] // 8)
+    np.testing.assert_array_equal(lists.starts, np.cumsum(lists.counts) - lists.counts)
+    for start, count in zip(lists.starts, lists.counts, strict=True):
+        assert (np.diff(depths[lists.ids[start : start + count]]) > 0).all()
+    assert len(lists.ids) == lists.counts.sum() > 0
+    assert {array.dtype for array in (lists.ids, lists.starts, lists.counts)} == {
+        np.dtype(np.int32)
+    }
+
+
+def test_ties_in_depth_are_by_index():
+    places = np.tile([0.0, 0, 2], (300, 1))
+    places[::3, 2] = 1.5
+    lists = bin_splats(project(blobs(places), camera(8, 8)), 8, 8)
+    expected = np.concatenate([np.arange(0, 300, 3), np.flatnonzero(np.arange(300) % 3)])
+    np.testing.assert_array_equal(lists.ids, expected)
+
+
+def test_a_lever_of_a_needle_reaches_past_every_integer():
+    """Almost horizontal, the needle leaves a strip of tiles some 1e13 pixels away."""
+    needle = dataclasses.replace(
+        blobs([0, 0.1, 2.0], opacity=0.9),
+        log_scales=np.array([[38, -7, -7]], np.float32),
+        quats=np.array([[1, 0, 0, 1e-13]], np.float32),
+    )
+    lists = bin_splats(project(needle, camera(33, 17)), 33, 17)
+    at_pixels, _ = largest_alphas(needle, camera(33, 17))
+    np.testing.assert_array_equal(lists.counts, (at_pixels[:, 0] >= reference.MIN_ALPHA))
+    assert lists.counts.sum() == 5, "the needle crosses one row of five tiles"
+
+
+@pytest.mark.parametrize("places", [np.zeros((0, 3)), [[0, 0, -2], [50, 0, 2]]])
+def test_nothing_visible_gives_empty_lists(places):
+    lists = bin_splats(project(blobs(places), camera(17, 15)), 17, 15)
+    assert lists.counts.tolist() == lists.starts.tolist() == [0] * 6
+    assert len(lists.ids) == 0
+
+
+def test_a_restricted_view_blends_the_wanted_splats_as_the_whole_one_does():
+    gaussians, view = random_scene(300, seed=4), camera(65, 47)
+    wanted = np.zeros(300, bool)
+    wanted[::60] = True
+    features = jnp.asarray(wanted, jnp.float32)[:, None]
+    whole = make_view(gaussians, view)
+    part = restricted(whole, wanted)
+    image = composite(whole, features)
+    assert image.any(), "the wanted splats are invisible"
+    np.testing.assert_array_equal(composite(part, features), image)
+    assert np.count_nonzero(part.counts) < np.count_nonzero(whole.counts)
+    assert not np.any(restricted(whole, np.zeros(300, bool)).counts)
+    np.testing.assert_array_equal(composite(restricted(part, wanted), features), image)
+    everything = restricted(whole, np.ones(300, bool))
+    for leaf, other in zip(jax.tree.leaves(everything), jax.tree.leaves(whole), strict=True):
+        np.testing.assert_array_equal(leaf, other)
+
+
+def test_more_intersections_than_can_be_counted_are_one_clear_error():
+    widths = np.full(3, 2**27, np.int32)
+    with pytest.raises(InputError, match=r"touch 402,653,184 tiles.*scales"):
+        _ends(widths)
+    assert _ends(widths[:2]).tolist() == [0, 2**27, 2**28]
+
+
+def test_scenes_of_absurd_scales_are_refused_before_they_fill_the_memory():
+    everywhere = blobs(np.tile([[0.0, 0.0, 2.0]], (30_000, 1)), scale=1e3)
+    with pytest.raises(InputError, match="scales right"):
+        make_view(everywhere, camera(960, 720))

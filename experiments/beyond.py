@@ -24,7 +24,7 @@ from tables import Row, markdown, pivot, values_of, where, write_section
 
 from gsc_jax.benchmark.simulate import REGIMES
 from gsc_jax.estimators.robust.estimator import RobustConfig, find_robust, looks_of
-from gsc_jax.estimators.robust.mean_field import nearest
+from gsc_jax.scene.neighbours import nearest_neighbours
 
 FULL = "robust"
 DEFAULT = RobustConfig()
@@ -82,7 +82,9 @@ def by_colour_too(one: Look) -> Answer:
     means = np.asarray(gaussians.means)
     looks = [np.asarray(gaussians.sh[:, 0]), np.asarray(gaussians.log_scales).mean(1)[:, None]]
     spacing = np.median(
-        np.linalg.norm(means - means[nearest(means, np.arange(len(means)), 8)[:, 7]], axis=1)
+        np.linalg.norm(
+            means - means[nearest_neighbours(means, np.arange(len(means)), 8)[:, 7]], axis=1
+        )
     )
     columns = [means / spacing, *(2 * (c - c.mean(0)) / np.maximum(c.std(0), 1e-9) for c in looks)]
     config = dataclasses.replace(DEFAULT, seed=one.case.seed)
@@ -97,7 +99,7 @@ def compact(one: Look) -> Answer:
     if len(chosen) <= DEFAULT.neighbours:
         return answer
     points = np.asarray(one.case.gaussians.means)[chosen]
-    near = nearest(points, np.arange(len(points)), DEFAULT.neighbours)
+    near = nearest_neighbours(points, np.arange(len(points)), DEFAULT.neighbours)
     edges = np.repeat(np.arange(len(points)), near.shape[1]), near.ravel()
     graph = coo_array((np.ones(near.size, np.int8), edges), shape=(len(points), len(points)))
     _, part = connected_components(graph, directed=False)

@@ -77,7 +77,7 @@ def init(r: Array) -> State:
         A state for `step`.
     """
     r = jnp.asarray(r, jnp.float32)
-    return State(r, _adam(1.0).init(r), jnp.int32(0))
+    return State(r, adam(1.0).init(r), jnp.int32(0))
 
 
 def step(
@@ -111,7 +111,7 @@ def step(
     gradient, losses = jax.grad(loss, has_aux=True)(state.r)
     # Adam's bias correction raises a float to an integer power; strict callers need not care.
     with jax.numpy_dtype_promotion("standard"):
-        updates, optimizer = _adam(config.learning_rate).update(gradient, state.optimizer)
+        updates, optimizer = adam(config.learning_rate).update(gradient, state.optimizer)
     r = jnp.asarray(optax.apply_updates(state.r, updates))
     sizes = jnp.stack([jnp.sum(g) for g in (groups.high, groups.middle, groups.low)])
     info = StepInfo(loss_2d=losses[0], loss_3d=losses[1], group_sizes=sizes)
@@ -133,7 +133,8 @@ def resolved(config: LoopConfig, iterations: int) -> LoopConfig:
     return dataclasses.replace(config, contrastive_start=iterations // 2)
 
 
-def _adam(learning_rate: float) -> optax.GradientTransformation:
+def adam(learning_rate: float) -> optax.GradientTransformation:
+    """Adam with the settings of the released code, which SA3D shares."""
     # The released code's epsilon: so small that every Gaussian moves at the full rate, however
     # little of it a view sees.
     return optax.adam(learning_rate, eps=1e-15)

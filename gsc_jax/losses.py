@@ -17,6 +17,7 @@ import numpy as np
 from gsc_jax.evidence.lifting import Evidence
 from gsc_jax.render.spherical_harmonics import Y0
 from gsc_jax.scene import Array, Gaussians, pytree
+from gsc_jax.scene.statistics import median_and_mad
 
 
 def loss_2d(
@@ -189,7 +190,6 @@ def standardised_attributes(gaussians: Gaussians) -> np.ndarray:
     raw = np.concatenate([host.means, color, logits, log_scales, rotations], axis=1).T
     # On the host: a median is a sort in XLA, ten times slower.
     usable = raw[:, np.isfinite(raw).all(axis=0)]
-    center = np.median(usable, axis=1, keepdims=True)
-    spread = np.median(np.abs(usable - center), axis=1, keepdims=True)
+    center, spread = median_and_mad(usable, axis=1)
     scaled = (raw - center) / np.where(spread > 0, spread, 1.0)
     return np.where((spread > 0) & np.isfinite(raw), scaled, np.float32(0))

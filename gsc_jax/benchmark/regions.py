@@ -14,6 +14,7 @@ from typing import TypeVar
 import jax.numpy as jnp
 import numpy as np
 
+from gsc_jax.render.orbit import mean_up
 from gsc_jax.render.projection import NEAR
 from gsc_jax.render.spherical_harmonics import Y0
 from gsc_jax.render.tiles import make_view
@@ -96,13 +97,7 @@ def look(gaussians: Gaussians, cameras: Sequence[Camera], *, near: float = NEAR)
     shares, middle = np.moveaxis(sums * _sound(gaussians)[None, :, None], -1, 0)
     often = (shares > 0).mean(axis=0)
     focus = middle.sum(axis=0) * often**2 * (np.asarray(gaussians.opacities) > 0.5)
-    return Sight(cameras=small, shares=shares, focus=focus, up=upwards(cameras), near=near)
-
-
-def upwards(cameras: Sequence[Camera]) -> np.ndarray:
-    """The vertical: cameras are mostly held level, so it is against the mean of their y axes."""
-    up = -np.mean([np.asarray(camera.viewmat)[1, :3] for camera in cameras], axis=0)
-    return up / np.linalg.norm(up)
+    return Sight(cameras=small, shares=shares, focus=focus, up=mean_up(cameras), near=near)
 
 
 def scaled_down(camera: Camera) -> Camera:

@@ -6,8 +6,8 @@ its neighbours lie, which chance does not bring about in attributes that do not 
 
 import numpy as np
 
-from gsc_jax.estimators.robust.mean_field import nearest
 from gsc_jax.scene import Gaussians
+from gsc_jax.scene.neighbours import nearest_neighbours
 from gsc_jax.scene.parallel import WORKERS
 
 RADIUS = 0.35
@@ -73,7 +73,7 @@ def _in_step(
     means: np.ndarray, reach: np.ndarray, some: np.ndarray, twins: np.ndarray, *, wide: float = 1.0
 ) -> tuple[np.ndarray, np.ndarray]:
     """Neighbours among some rows, (S, K), and which have twins near the twins of theirs, (S,)."""
-    near = nearest(means[some], np.arange(len(some)), NEIGHBOURS)
+    near = nearest_neighbours(means[some], np.arange(len(some)), NEIGHBOURS)
     moved = np.linalg.norm(means[twins] - means[some], axis=1)
     has = (twins >= 0) & (moved > NEXT * reach[some])
     gaps = np.linalg.norm(means[twins[near]] - means[twins][:, None], axis=2)

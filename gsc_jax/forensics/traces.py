@@ -15,11 +15,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gsc_jax.estimators.robust.mean_field import nearest
 from gsc_jax.forensics.copy_move import RADIUS, TIGHT, appearance, invariants, moved_alike
 from gsc_jax.forensics.quantisation import off_lattice
 from gsc_jax.forensics.row_order import SURE, appended_rows
 from gsc_jax.scene import Gaussians
+from gsc_jax.scene.neighbours import nearest_neighbours
 
 NEIGHBOURS = 12
 """Neighbours in space that are asked; fewer are ragged, more blur small edits."""
@@ -89,7 +89,7 @@ def neighbours_of(gaussians: Gaussians) -> np.ndarray:
     count = max(min(NEIGHBOURS, len(usable) - 1), 0)
     result = np.tile(np.arange(len(means))[:, None], (1, count))
     if count:
-        result[usable] = usable[nearest(means[usable], np.arange(len(usable)), count)]
+        result[usable] = usable[nearest_neighbours(means[usable], np.arange(len(usable)), count)]
     return result
 
 

@@ -80,6 +80,7 @@ def orbit_cameras(
 
 
 def opaque_means(gaussians: Gaussians) -> np.ndarray:
+    """Centres of the Gaussians with an opacity above one half, or of all if there are none."""
     means = np.asarray(gaussians.means, np.float64)
     opaque = np.asarray(gaussians.logit_opacities) > 0
     return means[opaque] if opaque.any() else means
@@ -114,3 +115,9 @@ def look_at(eye: np.ndarray, target: np.ndarray, up: np.ndarray) -> np.ndarray:
     viewmat[:3, :3] = right, np.cross(forward, right), forward
     viewmat[:3, 3] = -viewmat[:3, :3] @ eye
     return viewmat.astype(np.float32)
+
+
+def mean_up(cameras: Sequence[Camera]) -> np.ndarray:
+    """Up direction of a scene, shape (3,): cameras are mostly held level, with y pointing down."""
+    up = -np.mean([np.asarray(camera.viewmat)[1, :3] for camera in cameras], axis=0)
+    return up / np.linalg.norm(up)

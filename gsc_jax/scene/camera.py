@@ -52,3 +52,14 @@ class Camera:
         return dataclasses.replace(
             self, K=np.asarray(self.K) * zoom[:, None], width=width, height=height
         )
+
+
+def intrinsics(focal: float, width: int, height: int) -> np.ndarray:
+    """Matrix K of a camera with square pixels and a centred principal point, (3, 3) float32.
+
+    Args:
+        focal: Focal length in pixels.
+        width: Image width in pixels.
+        height: Image height in pixels.
+    """
+    return np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]], np.float32)

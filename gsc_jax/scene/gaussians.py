@@ -99,3 +99,19 @@ def invalid_rows(gaussians: Gaussians) -> dict[str, np.ndarray]:
         "position or colour out of all bounds": (np.abs(host.means) > MAX_MAGNITUDE).any(axis=1)
         | (np.abs(host.sh) > MAX_MAGNITUDE).any(axis=(1, 2)),
     }
+
+
+def usable_rows(gaussians: Gaussians) -> np.ndarray:
+    """Mask of the Gaussians that can be rendered, shape (N,) bool; see `invalid_rows`."""
+    return ~np.any(list(invalid_rows(gaussians).values()), axis=0)
+
+
+def rotation_matrices(gaussians: Gaussians) -> np.ndarray:
+    """Rotation matrices of N Gaussians, whose columns are their axes, shape (N, 3, 3) float32."""
+    w, x, y, z = np.asarray(gaussians.rotations).T
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=1)

@@ -76,3 +76,24 @@ def parts(points: np.ndarray, size: int) -> list[np.ndarray]:
         order = np.argpartition(own[:, axis], len(rows) // 2)
         whole += [rows[order[: len(rows) // 2]], rows[order[len(rows) // 2 :]]]
     return found
+
+
+def nearest_neighbours(points: np.ndarray, rows: np.ndarray, count: int) -> np.ndarray:
+    """Nearest other points of some of the points.
+
+    Args:
+        points: Shape (N, 3).
+        rows: Indices of the points whose neighbours are wanted, shape (M,).
+        count: How many, fewer than N.
+
+    Returns:
+        Indices, nearest first, shape (M, count).
+    """
+    from scipy.spatial import KDTree
+
+    tree = KDTree(points, compact_nodes=False, balanced_tree=False)
+    found = np.asarray(tree.query(points[rows], k=count + 1, workers=WORKERS)[1])
+    # A point is its own nearest, unless others lie on it: then one of them is left out instead.
+    others = found != rows[:, None]
+    others[others.all(axis=1), -1] = False
+    return found[others].reshape(len(rows), count)

@@ -4,7 +4,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gsc_jax.estimators.robust.mean_field import nearest, smoothed, softmax
+from gsc_jax.estimators.robust.mean_field import smoothed, softmax
+from gsc_jax.scene.neighbours import nearest_neighbours
 
 LINE = np.stack([np.arange(20.0), np.zeros(20), np.zeros(20)], axis=1)
 EVERYBODY = np.ones(20, bool)
@@ -44,7 +45,7 @@ def test_the_unseen_have_no_opinion():
 @given(st.integers(0, 1000), st.sampled_from([1e-6, 1.0, 1e6]))
 def test_neighbours_are_the_nearest_others(seed, scale):
     points = np.random.default_rng(seed).normal(size=(30, 3)) * scale
-    found = nearest(points, np.arange(30), 5)
+    found = nearest_neighbours(points, np.arange(30), 5)
     distance = np.linalg.norm(points[:, None] - points, axis=-1)
     np.fill_diagonal(distance, np.inf)
     expected = np.sort(distance, axis=1)[:, :5]
@@ -52,6 +53,6 @@ def test_neighbours_are_the_nearest_others(seed, scale):
 
 
 def test_gaussians_in_one_place_have_each_other():
-    found = nearest(np.zeros((12, 3)), np.arange(12), 4)
+    found = nearest_neighbours(np.zeros((12, 3)), np.arange(12), 4)
     assert found.shape == (12, 4)
     assert all(k not in row and len(set(row)) == 4 for k, row in enumerate(found))

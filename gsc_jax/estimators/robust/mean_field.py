@@ -9,7 +9,7 @@ and only the doubtful ones are looked at.
 import numpy as np
 
 from gsc_jax.scene import Array
-from gsc_jax.scene.parallel import WORKERS
+from gsc_jax.scene.neighbours import nearest_neighbours
 
 ITERATIONS = 5
 MARGIN = 3.0
@@ -45,7 +45,7 @@ def smoothed(
         return probability
     one, other = (logits[:, kind].max(axis=1)[speaking] for kind in (kinds, ~kinds))
     doubtful = np.flatnonzero(np.abs(one - other) < strength + MARGIN)
-    asked = speaking[nearest(means[speaking], doubtful, neighbours)]
+    asked = speaking[nearest_neighbours(means[speaking], doubtful, neighbours)]
     those = speaking[doubtful]
     own = logits[those]
     for _ in range(ITERATIONS):
@@ -54,27 +54,6 @@ def smoothed(
             opinion += probability[neighbour]
         probability[those] = softmax(own + strength / neighbours * opinion)
     return probability
-
-
-def nearest(points: np.ndarray, those: np.ndarray, count: int) -> np.ndarray:
-    """The nearest other points of some of the points.
-
-    Args:
-        points: Shape (N, 3).
-        those: Indices of whom to find neighbours for, shape (M,).
-        count: How many, fewer than N.
-
-    Returns:
-        Indices, nearest first, shape (M, count).
-    """
-    from scipy.spatial import KDTree
-
-    tree = KDTree(points, compact_nodes=False, balanced_tree=False)
-    found = np.asarray(tree.query(points[those], k=count + 1, workers=WORKERS)[1])
-    # A point is its own nearest, unless others lie on it: then one of them is left out instead.
-    others = found != those[:, None]
-    others[others.all(axis=1), -1] = False
-    return found[others].reshape(len(those), count)
 
 
 def softmax(logits: np.ndarray) -> np.ndarray:

@@ -9,14 +9,14 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 .PHONY: help demo test lint bench results docs clean
 
 help:
-	@echo 'make demo    find a pasted object in a made scene; pictures go to demo/'
+	@echo 'make demo    find a pasted object in a generated scene; results go to demo/'
 	@echo 'make test    ruff, pyright and all tests'
 	@echo 'make lint    ruff and pyright'
 	@echo 'make bench   speed of splatting on this machine'
 	@echo 'make results every table and chart of docs/results.md (three to four hours)'
-	@echo 'make docs    the documentation as a site, in site/; its pictures are made again'
+	@echo 'make docs    the documentation as a site, in site/, with its pictures'
 	@echo 'make clean   remove .venv, demo/ and caches'
-	@echo 'Another interpreter: make test PYTHON=python3.12'
+	@echo 'another interpreter: make test PYTHON=python3.12'
 
 demo: $(VENV)/installed
 	$(BIN)/gsc-jax demo --out demo
@@ -34,7 +34,7 @@ bench: $(VENV)/installed
 	$(BIN)/python benchmarks/pipeline.py
 	$(BIN)/python benchmarks/page.py
 
-results: $(VENV)/installed
+results: $(VENV)/installed-dev
 	$(BIN)/python experiments/train_cues.py --keep .cues --out .cues/all.npz
 	for name in native importance native_real editing beyond calibration enough ablation robustness authentic parsimony stability speed_accuracy real_scenes; do \
 	  $(BIN)/python experiments/$$name.py || exit 1; done

@@ -1,4 +1,4 @@
-"""What the benchmarks share: scenes, clocks, and where the numbers go."""
+"""Helpers of the benchmarks: scenes, timing, and the file of the results."""
 
 import dataclasses
 import json
@@ -22,19 +22,19 @@ DOCS = Path(__file__).resolve().parents[1] / "docs"
 
 
 def scenes() -> Iterator[tuple[str, Gaussians, list[Camera]]]:
-    """The real scenes beside the repository, or the made room without them."""
+    """Names, Gaussians and cameras of the real scenes, or of a synthetic room without them."""
     for path in sorted(DATA.glob("*.ply")):
         cameras = gsc_jax.load_cameras(path.with_suffix("").with_suffix(".cameras.json"))
         yield path.stem, jax.tree.map(jnp.asarray, gsc_jax.load_ply(path)), cameras
     if not DATA.is_dir():
-        yield "made room", jax.tree.map(jnp.asarray, make_room()), room_cameras(24)
+        yield "synthetic room", jax.tree.map(jnp.asarray, make_room()), room_cameras(24)
 
 
 def of_count(gaussians: Gaussians, count: int, *, seed: int = 0) -> Gaussians:
-    """The scene with another number of Gaussians that cover the same surfaces.
+    """Resample a scene to another number of Gaussians on the same surfaces.
 
     Rows are drawn with replacement and moved within their own extent; the scales follow the
-    spacing, so that the overlap per pixel stays what it was.
+    spacing, so that the overlap per pixel does not change.
     """
     rng = np.random.default_rng(seed)
     rows = rng.choice(len(gaussians), count, replace=count > len(gaussians))
@@ -48,20 +48,20 @@ def of_count(gaussians: Gaussians, count: int, *, seed: int = 0) -> Gaussians:
 
 
 def seconds(function: Callable[[], object]) -> float:
-    """Wall time until the result is there."""
+    """Wall time of a call, including asynchronous computations."""
     start = time.perf_counter()
     jax.block_until_ready(function())
     return time.perf_counter() - start
 
 
 def medians(functions: dict[str, Callable[[], object]], repeats: int) -> dict[str, float]:
-    """Median seconds of each, run in turns so that what else the machine does falls on all."""
+    """Median seconds of each function; interleaved, so that other load affects all of them."""
     times = [{name: seconds(f) for name, f in functions.items()} for _ in range(repeats + 1)]
     return {name: float(np.median([row[name] for row in times[1:]])) for name in functions}
 
 
 def machine() -> dict[str, object]:
-    """What the numbers were measured on."""
+    """Hardware and versions of a measurement."""
     device = jax.devices()[0]
     affinity = getattr(os, "sched_getaffinity", None)
     return {

@@ -1,8 +1,8 @@
-/* The limit: the same pairs of pixel and Gaussian as gsc_jax.splat.composite, by hand.
+/* The pairs of pixel and Gaussian of gsc_jax.splat.composite in C, as the limit of the machine.
  *
  * Tiles of 8 x 8 pixels walk their depth-sorted lists; the 64 pixels of a tile are the vector. exp is
- * a polynomial (relative error 2e-7 where alpha >= 1/255), so that nothing is called in the loop.
- * Counts what was evaluated and what was needed.
+ * a polynomial (relative error 2e-7 where alpha >= 1/255), so that the loop calls no function.
+ * Counts the evaluated and the needed pairs.
  */
 #include <math.h>
 #include <string.h>

@@ -1,4 +1,4 @@
-"""The limit of the machine: `limit.c`, compiled here with the C compiler that is there."""
+"""A C loop over the same lists (`limit.c`), compiled here, as the limit of the machine."""
 
 import ctypes
 import shutil
@@ -17,13 +17,13 @@ FLAGS = ["-O3", "-march=native", "-ffast-math", "-fopenmp", "-shared"]
 
 
 class Counts(ctypes.Structure):
-    """Pairs of pixel and Gaussian."""
+    """Numbers of pairs of pixel and Gaussian."""
 
     _fields_ = (("evaluated", ctypes.c_long), ("needed", ctypes.c_long))
 
 
 class Blended(NamedTuple):
-    """An image [H, W, D] and the pairs that it took."""
+    """An image [H, W, D] and the numbers of pairs."""
 
     image: np.ndarray
     evaluated: int

@@ -1,14 +1,13 @@
-"""The whole job: 100 views, evidence against rendering every iteration, memory, cold start, sweeps.
+"""Time and memory of whole runs: estimators, both paths, large scenes, cold start, sweeps, scaling.
 
-    python benchmarks/pipeline.py [--parts locate robust native rendered memory cold sweep scaling]
+    python benchmarks/pipeline.py [--parts locate robust attributes rendered memory cold ...]
 
-`locate`: 300k Gaussians, 100 views of 640x420, given masks. `robust`: the estimator on that
-evidence. `native`: what the Gaussians themselves say. `rendered`: the same optimisation by
-rendering and differentiating every iteration. `memory`: 3 million Gaussians and 100 views, peak of
-a process of its own. `cold`: import and first view in new processes, with and without the
-compilation cache. `sweep`: a hundred configurations on evidence computed once, against one.
-`scaling`: time against Gaussians and pixels, drawn to `docs/performance.png`. Writes
-`docs/performance.json`.
+`locate`: 300,000 Gaussians, 100 views of 640x420, masks given. `robust`: the estimators on that
+evidence. `attributes`: the evidence in the attributes. `rendered`: the optimisation by rendering in
+every iteration. `memory`: 3 million Gaussians and 100 views, in a process of its own. `cold`:
+import and first view in new processes, with and without the compilation cache. `sweep`: a hundred
+configurations on evidence computed once. `scaling`: seconds against Gaussians and pixels, with the
+chart `docs/performance.png`. Each part is written to `docs/performance.json`.
 """
 
 import contextlib
@@ -17,27 +16,23 @@ import subprocess
 import sys
 import tempfile
 import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 import common
 import jax.numpy as jnp
 import numpy as np
 import tyro
 
-from gsc_jax import METHODS, RobustConfig, locate
-from gsc_jax.estimators import gschecker as method
-from gsc_jax.evidence.detector import as_detector
+import gsc_jax
+from gsc_jax.estimators.gschecker import OFFICIAL, PAPER
 from gsc_jax.evidence.monitor import peak_memory_mib
-from gsc_jax.evidence.observation import observe
-from gsc_jax.forensics.evidence import native_evidence
 from gsc_jax.render.tiles import make_view
 from gsc_jax.scene import Camera, Gaussians
 from gsc_jax.splat import accumulate
 
-Part = Literal["locate", "robust", "native", "rendered", "memory", "cold", "sweep", "scaling"]
+Part = Literal["locate", "robust", "attributes", "rendered", "memory", "cold", "sweep", "scaling"]
 VIEWS, WIDTH, HEIGHT = 100, 640, 420
 
 
@@ -46,20 +41,11 @@ class Options:
     """What to measure.
 
     Attributes:
-        parts: Which parts.
-        child: Used by `memory` for its own process.
+        parts: Parts of the benchmark.
+        child: Internal: measure the memory of this process.
     """
 
-    parts: tuple[Part, ...] = (
-        "locate",
-        "robust",
-        "native",
-        "rendered",
-        "memory",
-        "cold",
-        "sweep",
-        "scaling",
-    )
+    parts: tuple[Part, ...] = get_args(Part)
     child: bool = False
 
 
@@ -67,7 +53,7 @@ def main(options: Options) -> None:
     """Measure the parts one after the other."""
     if options.child:
         with anonymous_memory() as anonymous:
-            seconds = locate_seconds(3_000_000, native=True)["seconds"]
+            seconds = locate_seconds(3_000_000, prior=True)["seconds"]
         print(seconds, peak_memory_mib(), max(anonymous))
         return
     for part in options.parts:
@@ -76,8 +62,8 @@ def main(options: Options) -> None:
         common.save(part, values)
 
 
-def many_views(count: int) -> tuple[Gaussians, list[Camera], dict[str, np.ndarray]]:
-    """The first scene with `count` Gaussians, 100 cameras between its own, and masks."""
+def many_views(count: int = 300_000) -> tuple[Gaussians, list[Camera], dict[str, np.ndarray]]:
+    """The first scene with `count` Gaussians, 100 cameras near its own, and masks."""
     _, gaussians, cameras = next(common.scenes())
     cameras = [c.resized(WIDTH, HEIGHT) for c in cameras]
     views = []
@@ -92,92 +78,83 @@ def many_views(count: int) -> tuple[Gaussians, list[Camera], dict[str, np.ndarra
     return common.of_count(gaussians, count), views, masks
 
 
-def locate_seconds(count: int = 300_000, *, native: bool = False) -> dict:
-    """Wall time of `locate`, compilation included, and the share of each stage."""
+def locate_seconds(count: int = 300_000, *, prior: bool = False) -> dict:
+    """Seconds of `locate` on all views, with compilation, in total and of each stage."""
     gaussians, views, masks = many_views(count)
-    start = time.perf_counter()
-    result = locate(gaussians, views, masks, config=RobustConfig(tolerance=0.0), native=native)
-    return {"seconds": time.perf_counter() - start, "stages": result.stages}
+    all_views = gsc_jax.RobustEstimator(tolerance=0.0)
+    result = gsc_jax.locate(gaussians, views, masks, config=all_views, prior=prior)
+    return {"seconds": result.seconds, "stages": result.stages}
 
 
-def robust_seconds(count: int = 300_000) -> dict:
-    """Seconds of `robust` after the evidence, with compilation and without, and of `official`."""
-    gaussians, views, masks = many_views(count)
-    observation = observe(gaussians, views, as_detector(masks))
+def robust_seconds() -> dict:
+    """Seconds of `robust` on the evidence, with compilation and without, and of `official`."""
+    gaussians, views, masks = many_views()
+    observation = gsc_jax.observe(gaussians, views, masks)
 
-    def found(name: str) -> float:
-        start = time.perf_counter()
-        method.find(gaussians, views, observation, method.CONFIGS[name])
-        return time.perf_counter() - start
+    def seconds(method: Literal["robust", "official"]) -> float:
+        estimate = gsc_jax.estimate
+        return common.seconds(lambda: estimate(gaussians, views, observation, method=method))
 
-    first = found("robust")
-    again = min(found("robust") for _ in range(3))
-    found("official")  # compiles
-    return {"first": first, "again": again, "official": min(found("official") for _ in range(3))}
+    first = seconds("robust")
+    again = min(seconds("robust") for _ in range(3))
+    seconds("official")  # compiles
+    return {"first": first, "again": again, "official": min(seconds("official") for _ in range(3))}
 
 
-def native_seconds(count: int = 300_000) -> dict:
-    """Seconds of the Gaussians' own evidence, its cues and its traces."""
-    gaussians = many_views(count)[0]
+def attributes_seconds() -> dict:
+    """Seconds of the evidence in the attributes, with and without traces."""
+    gaussians = many_views()[0]
 
-    def seconds(function: Callable[[], object]) -> float:
-        start = time.perf_counter()
-        function()
-        return time.perf_counter() - start
+    def seconds(*, with_traces: bool) -> float:
+        evidence = gsc_jax.forensic_evidence
+        return common.seconds(lambda: evidence(gaussians, with_traces=with_traces))
 
-    first = seconds(lambda: native_evidence(gaussians))
-    again = min(seconds(lambda: native_evidence(gaussians)) for _ in range(3))
-    alone = min(seconds(lambda: native_evidence(gaussians, exact=False)) for _ in range(3))
-    return {"first": first, "again": again, "without_traces": alone}
+    first = seconds(with_traces=True)
+    again = min(seconds(with_traces=True) for _ in range(3))
+    without = min(seconds(with_traces=False) for _ in range(3))
+    return {"first": first, "again": again, "without_traces": without}
 
 
 def rendered_seconds(views_used: int = 20) -> dict:
-    """`locate` by both paths, five epochs; all but the optimisation is the same for both."""
-    gaussians, views, masks = many_views(300_000)
-    seconds = {}
+    """Seconds of `locate` on both paths; all but the optimisation is the same."""
+    gaussians, views, masks = many_views()
+    views, seconds = views[:views_used], {}
     for path in ("evidence", "rendered"):
-        config = dataclasses.replace(METHODS["paper"], path=path, epochs=5)
+        config = dataclasses.replace(PAPER, path=path, epochs=5)
         for _ in range(2):  # the first run compiles
-            start = time.perf_counter()
-            locate(gaussians, views[:views_used], masks, config=config)
-            seconds[path] = time.perf_counter() - start
-    return {
-        "views": views_used,
-        "epochs": 5,
-        **seconds,
-        "ratio": seconds["rendered"] / seconds["evidence"],
-    }
+            found = gsc_jax.locate(gaussians, views, masks, method="paper", config=config)
+            seconds[path] = found.seconds
+    ratio = seconds["rendered"] / seconds["evidence"]
+    return {"views": views_used, "epochs": 5, **seconds, "ratio": ratio}
+
+
+def output_of(*arguments: str) -> str:
+    """Output of a new Python process."""
+    command = [sys.executable, *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
 
 def memory() -> dict:
-    """Seconds and peak memory for 3 million Gaussians, asked themselves, too, and 100 views."""
-    done = subprocess.run(
-        [sys.executable, __file__, "--child"], capture_output=True, text=True, check=True
-    )
-    seconds, peak, anonymous = map(float, done.stdout.split())
-    return {
-        "gaussians": 3_000_000,
-        "views": VIEWS,
-        "seconds": seconds,
-        "peak_gib": peak / 1024,
-        "anonymous_gib": anonymous / 1024,
-    }
+    """Seconds and peak memory of `locate` with the prior, 3 million Gaussians and 100 views."""
+    seconds, peak, anonymous = map(float, output_of(__file__, "--child").split())
+    gib = {"peak_gib": peak / 1024, "anonymous_gib": anonymous / 1024}
+    return {"gaussians": 3_000_000, "views": VIEWS, "seconds": seconds, **gib}
 
 
 @contextlib.contextmanager
 def anonymous_memory() -> Iterator[list[float]]:
-    """Memory in MiB that no file stands behind, every quarter of a second (Linux; else 0)."""
-    seen, done = [0.0], threading.Event()
+    """Sample the memory without a file behind it, in MiB, four times a second (Linux; else 0)."""
+    samples, done = [0.0], threading.Event()
 
     def watch() -> None:
         status = Path("/proc/self/status")
         while status.exists() and not done.wait(0.25):
             lines = dict(line.split(":", 1) for line in status.read_text().splitlines())
-            seen.append(int(lines["RssAnon"].split()[0]) / 1024)
+            samples.append(int(lines["RssAnon"].split()[0]) / 1024)
 
     watcher = threading.Thread(target=watch, daemon=True)
     watcher.start()
-    yield seen
+    yield samples
     done.set()
     watcher.join()
 
@@ -188,9 +165,9 @@ start = time.perf_counter()
 import gsc_jax
 imported = time.perf_counter()
 from gsc_jax.benchmark.scenes import make_room, room_cameras
-from gsc_jax.cli.cache import use_cache
+from gsc_jax.cli.cache import enable_compilation_cache
 room, camera = make_room(), room_cameras(1)[0]
-use_cache(sys.argv[1])
+enable_compilation_cache(sys.argv[1])
 begin = time.perf_counter()
 rgb, alpha = gsc_jax.render(room, camera)
 gsc_jax.accumulate(room, camera, rgb).block_until_ready()
@@ -199,56 +176,43 @@ print(imported - start, time.perf_counter() - begin)
 
 
 def cold() -> dict:
-    """Import and first view of two processes in a row that share a compilation cache."""
+    """Seconds of import and first view in two processes that share a compilation cache."""
     with tempfile.TemporaryDirectory() as cache:
-        runs = [
-            subprocess.run(
-                [sys.executable, "-c", FIRST_VIEW, cache],
-                capture_output=True,
-                text=True,
-                check=True,
-            )
-            for _ in range(2)
-        ]
-    (imported, first), (_, second) = (map(float, run.stdout.split()) for run in runs)
+        outputs = [output_of("-c", FIRST_VIEW, cache) for _ in range(2)]
+    (imported, first), (_, second) = (map(float, output.split()) for output in outputs)
     return {"import": imported, "first view": first, "first view, cached": second}
 
 
 def sweep(configurations: int = 100) -> dict:
-    """Evidence computed once and optimised under many lambda2, against one such run."""
-    gaussians, views, masks = many_views(300_000)
+    """Seconds of one and of many optimisations, with different lambda2, on the same evidence."""
+    gaussians, views, masks = many_views()
     views = views[:24]
-    official = METHODS["official"]
-    observation = observe(gaussians, views, as_detector(masks))  # compiles
-    start = time.perf_counter()
-    observation = observe(gaussians, views, as_detector(masks))
-    looked = time.perf_counter() - start
+    observation = gsc_jax.observe(gaussians, views, masks)  # compiles
+    observe = common.seconds(lambda: gsc_jax.observe(gaussians, views, masks))
 
-    def fits(count: int) -> None:
-        configs = [
-            dataclasses.replace(official, loop=dataclasses.replace(official.loop, lambda2=price))
-            for price in np.linspace(0.1, 10, count).tolist()
+    def optimise(count: int) -> None:
+        loops = [
+            dataclasses.replace(OFFICIAL.loop, lambda2=lambda2)
+            for lambda2 in np.linspace(0.1, 10, count).tolist()
         ]
-        assert len(list(method.sweep(gaussians, views, observation, configs))) == count
+        configs = [dataclasses.replace(OFFICIAL, loop=loop) for loop in loops]
+        assert len(list(gsc_jax.sweep(observation, configs))) == count
 
-    fits(1)  # compiles
-    one, many = (common.seconds(lambda n=n: fits(n)) for n in (1, configurations))
-    return {
-        "configurations": configurations,
-        "observe": looked,
-        "one": one,
-        "many": many,
-        "ratio": (looked + many) / (looked + one),
-    }
+    optimise(1)  # compiles
+    one, many = (common.seconds(lambda n=n: optimise(n)) for n in (1, configurations))
+    times = {"observe": observe, "one": one, "many": many}
+    return {"configurations": configurations, **times, "ratio": (observe + many) / (observe + one)}
 
 
 def scaling() -> dict:
-    """Time of a view against Gaussians and pixels, its slope over the upper decade, and a chart."""
+    """Seconds of a view against Gaussians and pixels, the slopes, and a chart."""
     name, gaussians, cameras = next(common.scenes())
     counts = [10_000, 30_000, 100_000, 300_000, 1_000_000, 3_000_000]
     widths = [160, 320, 640, 1280, 1920]
-    by_count = [whole(common.of_count(gaussians, n), of_width(cameras[1], 640)) for n in counts]
-    by_pixels = [whole(gaussians, of_width(cameras[1], w)) for w in widths]
+    by_count = [
+        view_seconds(common.of_count(gaussians, n), of_width(cameras[1], 640)) for n in counts
+    ]
+    by_pixels = [view_seconds(gaussians, of_width(cameras[1], w)) for w in widths]
     pixels = [w * w * 3 // 4 for w in widths]
     curves = {"Gaussians": (counts, by_count), "pixels": (pixels, by_pixels)}
     slopes = {what: slope(x, y) for what, (x, y) in curves.items()}
@@ -257,11 +221,11 @@ def scaling() -> dict:
 
 
 def of_width(camera: Camera, width: int) -> Camera:
-    """The camera with a 4:3 image."""
+    """The camera with an image of this width and an aspect of 4:3."""
     return camera.resized(width, width * 3 // 4)
 
 
-def whole(gaussians: Gaussians, camera: Camera) -> float:
+def view_seconds(gaussians: Gaussians, camera: Camera) -> float:
     """Median seconds of project + bin + accumulate."""
     maps = jnp.ones((camera.height, camera.width, 2))
     run = {"view": lambda: accumulate(make_view(gaussians, camera), maps)}
@@ -292,12 +256,12 @@ def draw(curves: dict, slopes: dict, name: str) -> None:
 
 PARTS = {
     "locate": locate_seconds,
+    "robust": robust_seconds,
+    "attributes": attributes_seconds,
     "rendered": rendered_seconds,
     "memory": memory,
     "cold": cold,
     "sweep": sweep,
-    "robust": robust_seconds,
-    "native": native_seconds,
     "scaling": scaling,
 }
 

@@ -1,7 +1,7 @@
-"""The splatting that one would write first: textbook projection, 16 x 16 tiles one by one.
+"""A straightforward rasteriser in JAX, as a baseline of `benchmarks/splat.py`.
 
-It is what `benchmarks/splat.py` compares with: the layout of the CUDA rasterisers carried over to
-JAX as it is. It is jitted, binned with vectorised NumPy and stops early, and gives the same pixels.
+It has the layout of the CUDA rasterisers: textbook projection and 16 x 16 tiles one at a time. It
+is jitted, binned with vectorised NumPy, stops early, and gives the same pixels as the library.
 """
 
 import dataclasses

@@ -1,12 +1,11 @@
-"""Time per stage of a view, beside what one would write first and beside the machine's limit.
+"""Time per stage of a view, compared with a plain variant and with the limit of the machine.
 
     python benchmarks/splat.py [--widths 480 640 960] [--repeats 9]
 
-On every real scene (or the made room) and size, in one process and with interleaved runs: ours;
-the plain JAX variant (16 x 16 tiles, one at a time, `plain.py`); a vectorised NumPy loop over
-tiles; and a C loop over the same pairs of pixel and Gaussian (`limit.c`, where a compiler is
-there), which is the limit. Before anything is timed, all must give the same pixels. Writes
-`docs/performance.json`, unless other widths are asked for.
+Runs on every real scene (or a synthetic room) and size, interleaved in one process: the library;
+the plain JAX variant (`plain.py`); a vectorised NumPy loop over tiles; and, with a C compiler, a C
+loop over the same pairs of pixel and Gaussian (`limit.c`), which is the limit. All must give the
+same pixels. Writes `docs/performance.json`, unless other widths are given.
 """
 
 import dataclasses
@@ -33,11 +32,11 @@ STAGES = ("project", "bin", "composite", "accumulate", "whole view")
 
 @dataclasses.dataclass(frozen=True)
 class Options:
-    """How much to measure.
+    """What to measure.
 
     Attributes:
         widths: Image widths in pixels; the height is three quarters of it.
-        view: Which camera of each scene.
+        view: Index of the camera of each scene.
         repeats: Timed runs of each stage.
     """
 
@@ -59,7 +58,7 @@ def main(options: Options) -> None:
 
 
 def measure(gaussians: Gaussians, camera: Camera, blend: limit.Blend | None, repeats: int) -> dict:
-    """All times of one view, in seconds, and its pairs."""
+    """Seconds of all stages of one view, and its numbers of pairs."""
     rgba = np.pad(colors(gaussians.sh, gaussians.means, camera.center), ((0, 0), (0, 1)))
     rgba = jax.device_put(rgba)
     shape = (camera.height, camera.width, 2)
@@ -87,7 +86,7 @@ def measure(gaussians: Gaussians, camera: Camera, blend: limit.Blend | None, rep
 def same_pixels(
     view: View, plain_view: plain.PlainView, rgba: jax.Array, blend: limit.Blend | None
 ) -> dict[str, int]:
-    """How many pairs of pixel and Gaussian there are, once all variants give the same pixels."""
+    """Count pairs of pixel and Gaussian, and require the same pixels of all variants."""
     image = composite(view, rgba)
     require_same(image, plain.composite(plain_view, rgba), "plain")
     require_same(image, numpy_composite(view, np.asarray(rgba)), "NumPy")
@@ -103,7 +102,7 @@ def same_pixels(
 
 
 def stages(gaussians: Gaussians, camera: Camera, rgba: jax.Array, maps: jax.Array) -> Runs:
-    """Ours, stage by stage and as a whole."""
+    """Stages of the library, and the whole view."""
     splats = project(gaussians, camera)
     view = bin_view(splats, camera)
     return {
@@ -116,7 +115,7 @@ def stages(gaussians: Gaussians, camera: Camera, rgba: jax.Array, maps: jax.Arra
 
 
 def plain_stages(gaussians: Gaussians, camera: Camera, rgba: jax.Array, maps: jax.Array) -> Runs:
-    """The plain variant, stage by stage and as a whole."""
+    """Stages of the plain variant, and the whole view."""
     splats = plain.project(gaussians, camera)
     view = plain.bin_splats(splats, camera)
 
@@ -157,7 +156,7 @@ def numpy_composite(view: View, features: np.ndarray) -> np.ndarray:
 
 
 def require_same(ours, theirs, what: str) -> None:
-    """Stop unless both variants compute the same; rounding may flip a cut-off here and there."""
+    """Stop unless two images agree up to a few cut-offs that rounding flips."""
     difference = np.abs(np.asarray(ours) - np.asarray(theirs))
     off = np.mean(difference > 1e-3)
     if off > 1e-3 or difference.mean() > 1e-5:
@@ -165,7 +164,7 @@ def require_same(ours, theirs, what: str) -> None:
 
 
 def described(row: dict) -> str:
-    """The numbers of one view, for people."""
+    """Text with the numbers of one view."""
     lines = [
         f"\n{row['scene']}: {row['gaussians']:,} Gaussians, {row['width']}x{row['height']}",
         f"pairs of pixel and Gaussian: {row['listed']:,} listed ({row['plain listed']:,} plain)",

@@ -1,22 +1,23 @@
-"""What MkDocs asks while it builds the site: help texts as the program prints them, whole numbers.
+"""MkDocs hooks: insert the help texts of the program, and keep numbers and their spread together.
 
-Where a page says `<!-- help -->` there follows what `gsc-jax --help` and the help of each of its
-commands print, so that the page and the program cannot disagree.
+The placeholder `<!-- help -->` in a page becomes what `gsc-jax --help` and `gsc-jax COMMAND --help`
+print.
 """
 
 import os
-import re
 import subprocess
 import sys
-import textwrap
 from typing import Any
 
+from gsc_jax.cli.main import COMMANDS
+
 WIDTH = 80
-PLACE = "<!-- help -->"
+"""Columns of the help texts, which fit into a page of the site."""
+PLACEHOLDER = "<!-- help -->"
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Puts the help texts where a page asks for them, and keeps a value and its spread together.
+    """Insert help texts, and put non-breaking spaces around `±`.
 
     Args:
         markdown: The page.
@@ -25,44 +26,22 @@ def on_page_markdown(markdown: str, **_: Any) -> str:
         The page for the site.
     """
     markdown = markdown.replace(" ± ", "\u00a0±\u00a0")
-    return markdown.replace(PLACE, all_help()) if PLACE in markdown else markdown
+    if PLACEHOLDER not in markdown:
+        return markdown
+    sections = (f"## {name}\n\n{help_text(name)}" for name in COMMANDS)
+    return markdown.replace(PLACEHOLDER, "\n\n".join([help_text(), *sections]))
 
 
-def all_help() -> str:
-    """What the program says of itself, and a section for each of its commands."""
-    program = help_of()
-    # What follows the options repeats what each command says.
-    about = re.split(r"\n\W*options\W*\n", program)[0].partition("\n\n")[2].strip()
-    sections = (f"## {name}\n\n```text\n{help_of(name)}\n```" for name in commands(program))
-    return "\n\n".join([f"```text\n{about}\n```", *sections])
-
-
-def commands(program: str) -> list[str]:
-    """The commands that the help of the program names, in its order."""
-    named = re.search(r"\{([\w,-]+)\}", program)
-    return named[1].split(",") if named else []
-
-
-def help_of(*command: str) -> str:
-    """The help of a command or of the program, without the frames around its parts."""
-    plain = {"COLUMNS": str(WIDTH), "NO_COLOR": "1", "TERM": "dumb", "PYTHONIOENCODING": "utf-8"}
-    said = subprocess.run(
+def help_text(*command: str) -> str:
+    """The help of a command or of the program, as a block of code."""
+    # tyro draws plain rules instead of frames with this setting.
+    plain = {"COLUMNS": str(WIDTH), "PYTHON_TYRO_UTF8_BOXES": "False", "PYTHONIOENCODING": "utf-8"}
+    printed = subprocess.run(
         [sys.executable, "-m", "gsc_jax", *command, "--help"],
         env={**os.environ, **plain},
         capture_output=True,
         encoding="utf-8",
         check=True,
     )
-    lines = map(_unframed, said.stdout.strip().splitlines())
-    return "\n".join(line for line in lines if line is not None)
-
-
-def _unframed(line: str) -> str | None:
-    """A line as it is without a frame; None of the lower edge of one."""
-    if line.startswith("╰"):
-        return None
-    if title := re.match(r"╭─ (.*?) ─*╮$", line):
-        return f"\n{title[1]}:"
-    inside = re.match(r"│ ?(.*?) *│$", line)
-    line = f"  {inside[1]}" if inside else line.rstrip()
-    return line if len(line) <= WIDTH else textwrap.fill(line, WIDTH)
+    lines = (line.rstrip() for line in printed.stdout.strip().splitlines())
+    return "\n".join(["```text", *lines, "```"])

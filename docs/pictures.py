@@ -1,10 +1,10 @@
-"""Every picture of the README and of the tutorial, made from nothing but this repository.
+"""Pictures of the README and of the tutorial, made from this repository alone.
 
     python docs/pictures.py
 
-runs the blocks of tutorial.md, which save their own pictures, draws teaser.png, opens a report in
-Chromium where it is installed, and puts all of it into docs/pictures/. (The charts of results.md
-and performance.md are made by `make results` and `make bench`.)
+runs the code blocks of tutorial.md, which save their own pictures, draws teaser.png, opens a report
+in Chromium if it is installed, and writes all of them to docs/pictures/. (`make results` and `make
+bench` draw the charts of results.md and performance.md.)
 """
 
 import contextlib
@@ -30,25 +30,25 @@ from gsc_jax.scene import Camera, Gaussians
 DOCS = Path(__file__).resolve().parent
 PICTURES = DOCS / "pictures"
 BLOCK = re.compile(r"^```python\n(.*?)^```$(?:\s+^```text\n(.*?)^```$)?", re.DOTALL | re.MULTILINE)
-COLOURS = 128
-"""In the palette of a picture: fewer show, more cost bytes."""
+PALETTE_SIZE = 128
+"""Colours of a picture: fewer are visible as bands, more cost bytes."""
 
 BROWSERS = "chromium", "chromium-browser", "google-chrome"
 FLAGS = "--headless=new", "--no-sandbox", "--hide-scrollbars", "--window-size=1120,840"
-GIVEN = "--cameras", "cameras.json", "--masks", "masks"
-TITLES = "the edited scene", "what a 2D detector says", "what gsc_jax found", "score per Gaussian"
-SHOWN = 0, 11
-"""Views of the teaser: in one the detector misses the vase, in the other it flags more."""
-PLATE = {"boxstyle": "square,pad=0.35", "facecolor": "black", "alpha": 0.7, "linewidth": 0}
-"""What titles stand on, so that they can be read on any picture."""
+INPUTS = "--cameras", "cameras.json", "--masks", "masks"
+TITLES = "edited scene", "mask of a 2D detector", "mask of gsc_jax", "score per Gaussian"
+TEASER_VIEWS = 0, 11
+"""Views of the teaser: the detector misses the vase in one and flags too much in the other."""
+TITLE_BOX = {"boxstyle": "square,pad=0.35", "facecolor": "black", "alpha": 0.7, "linewidth": 0}
+"""Background of titles, for contrast on any picture."""
 GRID = {"left": 0, "right": 1, "bottom": 0, "top": 1, "wspace": 0.015, "hspace": 0.02}
 
 Case = tuple[MadeScene, Mapping[str, np.ndarray]]
-"""A scene, and what a 2D detector says of each of its views, by camera name."""
+"""A scene, and probability maps of a 2D detector by camera name."""
 
 
 def main() -> None:
-    """Makes all pictures anew."""
+    """Make all pictures."""
     with tempfile.TemporaryDirectory() as folder:
         made = Path(folder) / "pictures"
         made.mkdir()
@@ -62,12 +62,12 @@ def main() -> None:
 
 
 def blocks() -> list[tuple[str, str]]:
-    """The Python of the tutorial in its order, and what the page says that each block prints."""
+    """Code blocks of the tutorial in order, each with its documented output."""
     return BLOCK.findall((DOCS / "tutorial.md").read_text(encoding="utf-8"))
 
 
 def run_tutorial(folder: Path) -> None:
-    """Runs the blocks of the tutorial in a folder, in one namespace, as a reader would."""
+    """Run the blocks of the tutorial in a folder and in one namespace."""
     names: dict = {}
     with contextlib.chdir(folder), contextlib.redirect_stdout(None):
         for code, _ in blocks():
@@ -75,19 +75,19 @@ def run_tutorial(folder: Path) -> None:
 
 
 def made_case(*, count: int = 50_000, width: int = 480, height: int = 360) -> Case:
-    """A made room with a vase pasted in, and what a detector that errs says of each view."""
+    """Make a room with a pasted vase, and probability maps of a detector with failures."""
     made = tampered_room(count=count, views=16, heldout=0, width=width, height=height)
-    suspicious = decoy_labels(made.gaussians, made.labels, seed=0)
+    decoy_rows = decoy_labels(made.gaussians, made.labels, seed=0)
     truth, decoy = (
         np.stack([truth_mask(made.gaussians, camera, labels) for camera in made.cameras])
-        for labels in (made.labels, suspicious)
+        for labels in (made.labels, decoy_rows)
     )
-    said = simulate(truth, decoy, seed=0, failures=REGIMES["mixture"])
-    return made, {camera.name: view for camera, view in zip(made.cameras, said, strict=True)}
+    maps = simulate(truth, decoy, seed=0, failures=REGIMES["mixture"])
+    return made, {camera.name: view for camera, view in zip(made.cameras, maps, strict=True)}
 
 
 def teaser(path: Path, case: Case) -> None:
-    """Two views of an edited scene, what a detector makes of them, and what was found."""
+    """Draw two views of an edited scene, the masks of a detector, and the result."""
     from matplotlib.figure import Figure
 
     rows = teaser_rows(*case)
@@ -100,41 +100,41 @@ def teaser(path: Path, case: Case) -> None:
             axes.set_axis_off()
     for axes, title in zip(table[0], TITLES, strict=True):
         corner = {"x": 0.025, "y": 0.965, "va": "top", "transform": axes.transAxes}
-        axes.text(s=title, color="white", fontsize=15, bbox=PLATE, **corner)
+        axes.text(s=title, color="white", fontsize=15, bbox=TITLE_BOX, **corner)
     figure.savefig(path)
 
 
-def teaser_rows(made: MadeScene, said: Mapping[str, np.ndarray]) -> list[list[np.ndarray]]:
-    """The pictures of the teaser, a row per view."""
-    result = gsc_jax.locate(made.gaussians, made.cameras, said, native=False)
+def teaser_rows(made: MadeScene, maps: Mapping[str, np.ndarray]) -> list[list[np.ndarray]]:
+    """Pictures of the teaser, a row per view."""
+    result = gsc_jax.locate(made.gaussians, made.cameras, maps, prior=False)
     rows = []
-    for camera in (made.cameras[i] for i in SHOWN):
+    for camera in (made.cameras[i] for i in TEASER_VIEWS):
         rgb = np.asarray(gsc_jax.render(made.gaussians, camera)[0])
-        flagged, found = said[camera.name] > 0.5, result.masks[camera.name]
+        flagged, found = maps[camera.name] > 0.5, result.masks[camera.name]
         score = heat(made.gaussians, camera, result.tamper)
         rows.append([rgb, overlay(rgb, flagged), overlay(rgb, found), score])
     return rows
 
 
 def report(path: Path, case: Case, folder: Path) -> None:
-    """The top of report.html, as `gsc-jax locate` leaves it; nothing where no browser is."""
+    """Take a screenshot of the top of report.html; do nothing without a browser."""
     browser = next(filter(None, map(shutil.which, BROWSERS)), None)
     if browser is None:
         return
-    made, said = case
+    made, maps = case
     with contextlib.chdir(folder), contextlib.redirect_stdout(None):
         gsc_jax.save_ply("scene.ply", made.gaussians)
         gsc_jax.save_cameras("cameras.json", made.cameras)
-        for name, view in said.items():
+        for name, view in maps.items():
             write_probability(image_path("masks", name), view)
-        run_program(["locate", "scene.ply", *GIVEN, "--out", "found", "--no-cache"])
+        run_program(["locate", "scene.ply", *INPUTS, "--out", "found", "--no-cache"])
     page = (folder / "found" / "report.html").as_uri()
     options = [*FLAGS, f"--user-data-dir={folder / 'browser'}", f"--screenshot={path}"]
     subprocess.run([browser, *options, page], check=True, capture_output=True)
 
 
 def heat(gaussians: Gaussians, camera: Camera, tamper: np.ndarray) -> np.ndarray:
-    """The scene in grey, with the colours of the scores, the stronger the higher they are."""
+    """Render the scene in grey with the scores on top, more opaque where higher."""
     from matplotlib import colormaps
 
     luma = np.asarray(colors(gaussians.sh, gaussians.means, camera.center)).mean(1, keepdims=True)
@@ -144,11 +144,11 @@ def heat(gaussians: Gaussians, camera: Camera, tamper: np.ndarray) -> np.ndarray
 
 
 def shrink(picture: Path, path: Path) -> None:
-    """Writes a picture with a palette, which takes a third of the bytes."""
+    """Write a picture with a palette, which takes a third of the bytes."""
     from PIL import Image
 
     with Image.open(picture) as image:
-        few = image.convert("RGB").quantize(COLOURS, dither=Image.Dither.FLOYDSTEINBERG)
+        few = image.convert("RGB").quantize(PALETTE_SIZE, dither=Image.Dither.FLOYDSTEINBERG)
         few.save(path, optimize=True)
 
 

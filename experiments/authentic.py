@@ -1,13 +1,12 @@
-"""False alarms: what the methods flag in scenes that nobody tampered with.
+"""False alarms: what the methods flag in authentic scenes.
 
     python experiments/authentic.py [--quick] [--out docs]
 
-The detector is shown untouched scenes and fails with blobs, with a decoy flagged in most views,
-with inverted masks, or in all ways at once, at the strengths of `benchmark/simulate.py`. Where
-nothing is tampered there is no edge to be ragged and no object to be missed, so those two failures
-are left out, as is the detector without failures, which flags nothing. F1 does not exist here
-(IMDL-BenCo's formula gives 0 whatever is flagged): what counts is the share of the held-out pixels
-that is flagged, and whether a scene as a whole raises a false alarm.
+The detector is shown authentic scenes and fails with blobs, with a decoy flagged in most views,
+with inverted masks, or in all ways at once, at the strengths of `benchmark/simulate.py`. Ragged
+edges and misses need a tampered object, and the detector without failures flags nothing, so these
+are left out. F1 does not exist here (IMDL-BenCo's formula is 0 whatever is flagged): the measures
+are the flagged share of the held-out pixels, and whether a scene as a whole raises a false alarm.
 """
 
 import functools
@@ -16,36 +15,36 @@ from pathlib import Path
 
 import charts
 import numpy as np
-from cases import Case, detector_masks, untouched
-from looks import Method, look
+from cases import Case, detector_masks, without_edit
 from matplotlib import pyplot as plt
 from methods import ALL_METHODS, if_called_tampered
+from observations import Method, observe_regimes
 from runner import ITSELF, TRUTH, ChosenArgs, judge, measured, start
-from tables import Row, mean, pivot, values_of, where, write_section
+from tables import Frame, Row, pivot, where, write_section
 
 from gsc_jax.benchmark.simulate import REGIMES
 
 FAILURES = {name: REGIMES[name] for name in ("blobs", "consistent", "inverted", "mixture")}
 CALLED = "robust, if called tampered"
-"""Where its verdict is that nothing was tampered with, nothing is flagged."""
+"""`robust`, whose labels are dropped where its verdict calls the scene authentic."""
 ALARM = 0.5
-"""Percent of the held-out pixels above which a scene counts as a false alarm."""
+"""Percentage of held-out pixels above which a scene counts as a false alarm."""
 
 
 def rows_of(case: Case, methods: Mapping[str, Method]) -> list[Row]:
-    """Every failure and method on one untouched scene, in percent of the held-out pixels."""
-    looks = look(case, detector_masks(case, FAILURES))
+    """Measure the percentage of flagged held-out pixels under every failure and method."""
+    observed = observe_regimes(case, detector_masks(case, FAILURES))
     rows = []
-    for row in judge(looks, methods):
+    for row in judge(observed, methods):
         if row["method"] != TRUTH:
             flagged = round(100 * row["false_area"], 2)
             rows.append({**row, "flagged": flagged, "alarm": float(flagged > ALARM)})
     return rows
 
 
-def report(rows: list[Row]) -> str:
-    """The tables."""
-    table = functools.partial(pivot, rows, "method", "regime", best=min, reference=(ITSELF,))
+def report(rows: Frame) -> str:
+    """All tables."""
+    table = functools.partial(pivot, rows, "method", "regime", best="min", reference=(ITSELF,))
     return "\n\n".join(
         [
             "**Untouched scenes: percent of the held-out pixels flagged** (less is better; F1 does "
@@ -57,12 +56,12 @@ def report(rows: list[Row]) -> str:
     )
 
 
-def chart(rows: list[Row], path: Path) -> None:
-    """Percent flagged, a dot per method and failure."""
-    names = values_of(rows, "method")[::-1]
+def chart(rows: Frame, path: Path) -> None:
+    """Percentage flagged, a dot per method and failure."""
+    names = rows.method.unique()[::-1]
     figure, axis = plt.subplots(figsize=(7.5, 0.6 + 0.36 * len(names)), layout="constrained")
     for k, regime in enumerate(FAILURES):
-        values = [mean(where(rows, method=name, regime=regime), "flagged") for name in names]
+        values = where(rows, regime=regime).groupby("method").flagged.mean().reindex(names)
         height = np.arange(len(names)) + 0.14 * (1.5 - k)
         axis.plot(values, height, charts.MARKERS[k], ms=6, color=charts.COLORS[k], label=regime)
     axis.axvline(ALARM, color="grey", lw=1, ls="--")
@@ -77,10 +76,10 @@ def chart(rows: list[Row], path: Path) -> None:
 
 
 def main(args: ChosenArgs) -> None:
-    """Judge every untouched scene; print and write the tables and the chart."""
+    """Measure every authentic scene; print and write the tables and the chart."""
     cases = args.cases(edits=("modification",))
     methods = args.among({**ALL_METHODS, CALLED: if_called_tampered})
-    per_case = (rows_of(untouched(imagined), methods) for imagined in cases)
+    per_case = (rows_of(without_edit(case), methods) for case in cases)
     rows = measured(args, "authentic", per_case)
     text = report(rows)
     print(text)

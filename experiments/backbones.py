@@ -1,11 +1,11 @@
-"""The methods behind several 2D detectors: what lifting to 3D makes of each detector's masks.
+"""The methods with several 2D detectors.
 
     python experiments/backbones.py [--quick] [--out docs] [--onnx FILE ...] [--preset NAME]
 
-The detectors are the four with a character of `benchmark/simulate.py`, uncalibrated, which read the
-truth and fail on purpose; the `DifferenceDetector`, which looks at pixels and knows the original;
-and any networks given as ONNX files, which are shown the renders. The first row is the detector
-itself, on the views that it was shown; the methods are scored on views that no detector saw.
+The detectors are the four profiles of `detector_strengths.py`, uncalibrated, which fail at known
+rates; the `DifferenceDetector`, which compares pixels with the original scene; and any networks
+given as ONNX files, which are shown the renders. The first row is the detector itself on the views
+that it was shown; the methods are scored on held-out views.
 """
 
 import dataclasses
@@ -14,13 +14,13 @@ from pathlib import Path
 
 import charts
 from cases import Case, detector_masks, masks_of
+from detector_strengths import PROFILES
 from difference import DifferenceDetector
-from looks import Method, look
 from methods import ALL_METHODS
+from observations import Method, observe_regimes
 from runner import REFERENCE, ChosenArgs, judge, measured, start
-from tables import Row, pivot, write_section
+from tables import Frame, Row, pivot, write_section
 
-from gsc_jax.benchmark.simulate import PROFILES
 from gsc_jax.detectors.onnx import OnnxDetector, OnnxSpec
 from gsc_jax.detectors.specs import preset
 from gsc_jax.evidence.detector import Detector
@@ -29,21 +29,23 @@ from gsc_jax.scene import InputError
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class BackboneArgs(ChosenArgs):
-    """Those of every experiment, and networks to run it behind.
+    """Arguments of the experiment, with networks as further detectors.
 
     Attributes:
-        onnx: Detectors exported to ONNX, called by the names of their files.
-        preset: How these are fed and read: iml-vit, trufor, mvss-net or pscc-net; by default they
-            take RGB in [0, 1] and give probabilities.
+        onnx: Detectors exported to ONNX, named in tables after their files.
+        preset: Input and output format of these: iml-vit, trufor, mvss-net or pscc-net; by default
+            RGB in [0, 1] and probabilities.
     """
 
     onnx: tuple[Path, ...] = ()
     preset: str | None = None
 
     def networks(self) -> dict[str, OnnxDetector]:
-        """The networks, by name."""
+        """Load the networks, by name."""
         if len({path.stem for path in self.onnx}) < len(self.onnx):
-            raise InputError("--onnx: two files have one name, by which tables call them")
+            raise InputError(
+                "--onnx: two files have the same name, which tables would not tell apart"
+            )
         spec = preset(self.preset) if self.preset else OnnxSpec()
         return {path.stem: OnnxDetector(path, spec) for path in self.onnx}
 
@@ -51,17 +53,17 @@ class BackboneArgs(ChosenArgs):
 def rows_of(
     case: Case, networks: Mapping[str, Detector], methods: Mapping[str, Method]
 ) -> list[Row]:
-    """Every detector and method on one edit."""
-    looking = {"difference": DifferenceDetector(case.scene.gaussians), **networks}
+    """Measure every detector and method on one edit."""
+    detectors = {"difference": DifferenceDetector(case.scene.gaussians), **networks}
     masks = detector_masks(case, PROFILES) | {
         name: masks_of(detector, case.gaussians, case.scene.cameras)
-        for name, detector in looking.items()
+        for name, detector in detectors.items()
     }
-    return list(judge(look(case, masks), methods))
+    return list(judge(observe_regimes(case, masks), methods))
 
 
-def report(rows: list[Row]) -> str:
-    """The tables."""
+def report(rows: Frame) -> str:
+    """All tables."""
     return "\n\n".join(
         [
             "**F1 by 2D detector.** The first row is the detector itself on the views that it was "
@@ -76,7 +78,7 @@ def report(rows: list[Row]) -> str:
 
 
 def main(args: BackboneArgs) -> None:
-    """Judge every case behind every detector; print and write the tables and the chart."""
+    """Measure every case with every detector; print and write the tables and the chart."""
     networks = args.networks()
     methods = args.among(ALL_METHODS)
     per_case = (rows_of(case, networks, methods) for case in args.cases())

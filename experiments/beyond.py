@@ -1,11 +1,11 @@
-"""What each part of the estimator is worth, and what did not make it into it.
+"""The contribution of each part of `robust`, and of parts that were tried and left out.
 
     python experiments/beyond.py [--quick] [--out docs]
 
-One edit of each scene. The steps that led to `robust`, from the share of what the views saw that
-was flagged, each judged on the same evidence under all failures; then `robust` with one
-part switched off, and with parts that were tried: neighbours by colour and size as well as by place
-(the paper's contrast, made local), and only the compact parts of what is labelled.
+One edit of each scene. The steps that lead from the flagged share of the evidence to `robust`, each
+measured on the same evidence under all failures; then `robust` with one part switched off, and with
+parts that were tried: neighbours by colour and size as well as by position (the paper's contrast,
+made local), and only the compact parts of what is labelled.
 """
 
 import dataclasses
@@ -15,155 +15,158 @@ from typing import Any
 import charts
 import numpy as np
 from cases import Case, calibrated_mixture, detector_masks
-from looks import Answer, Look, Method, look
-from methods import checker, labelled
+from methods import labelled, predict_with
+from observations import CaseObservation, Method, Prediction, observe_regimes
 from runner import REFERENCE, ChosenArgs, judge, measured, start
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from tables import Row, markdown, pivot, values_of, where, write_section
+from tables import Frame, Row, differences, markdown, pivot, write_section
 
 from gsc_jax.benchmark.simulate import REGIMES
-from gsc_jax.estimators.robust.estimator import RobustConfig, find_robust, looks_of
+from gsc_jax.estimators import RobustEstimator
+from gsc_jax.estimators.robust.normalise import visibility
 from gsc_jax.scene.neighbours import nearest_neighbours
 
 FULL = "robust"
-DEFAULT = RobustConfig()
-OFTEN = 0.99
-"""Quantile of the flag rates that counts as the best of them."""
-ISLAND = 0.1
-"""Share of the largest connected part from which on another one is kept."""
+DEFAULT = RobustEstimator()
+TOP_QUANTILE = 0.99
+"""Quantile of the flag rates that stands for the best of them."""
+MIN_PART = 0.1
+"""Least weight of a connected part that is kept, relative to the heaviest part."""
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class BeyondArgs(ChosenArgs):
-    """As the others, with one seed."""
-
-    seeds: int = 1
+def totals(one: CaseObservation) -> tuple[np.ndarray, np.ndarray]:
+    """Visibility of every Gaussian in every view, and its flagged part, shapes (V, N)."""
+    return visibility(one.observation.evidence, slice(None), DEFAULT.half_weight)
 
 
-def rates_of(one: Look, inverted: np.ndarray | None = None) -> np.ndarray:
-    """Share of the looks at each Gaussian in which it was flagged, shape (N,); unseen is 0."""
-    looked, flagged = looks_of(one.observation.evidence, slice(None), DEFAULT.trust)
+def flag_rates(one: CaseObservation, inverted: np.ndarray | None = None) -> np.ndarray:
+    """Flagged share of the visibility of each Gaussian, shape (N,); 0 where unseen."""
+    seen, flagged = totals(one)
     if inverted is not None:
-        flagged = np.where(inverted[:, None], looked - flagged, flagged)
-    return flagged.sum(axis=0) / np.maximum(looked.sum(axis=0), 1e-30)
+        flagged = np.where(inverted[:, None], seen - flagged, flagged)
+    return flagged.sum(axis=0) / np.maximum(seen.sum(axis=0), 1e-30)
 
 
-def flag_rate(one: Look) -> Answer:
-    """Flagged in more than half of what was seen of it."""
-    return labelled(rates_of(one) > 0.5)
+def flag_rate(one: CaseObservation) -> Prediction:
+    """Label Gaussians that are flagged in more than half of their visibility."""
+    return labelled(flag_rates(one) > 0.5)
 
 
-def turned(one: Look) -> np.ndarray:
-    """Views that flag most of what they see, and whose flags the other views contradict."""
-    looked, flagged = looks_of(one.observation.evidence, slice(None), DEFAULT.trust)
-    others = (flagged.sum(axis=0) - flagged) / np.maximum(looked.sum(axis=0) - looked, 1e-30)
-    centred = looked * (others - np.average(others, axis=1, weights=looked + 1e-30)[:, None])
-    against = (centred * (flagged / np.maximum(looked, 1e-30))).sum(axis=1) < 0
-    return against & (flagged.sum(axis=1) > 0.5 * looked.sum(axis=1))
+def inverted_views(one: CaseObservation) -> np.ndarray:
+    """Mask of the views that flag most of what they see, against the other views, shape (V,)."""
+    seen, flagged = totals(one)
+    others = (flagged.sum(axis=0) - flagged) / np.maximum(seen.sum(axis=0) - seen, 1e-30)
+    centred = seen * (others - np.average(others, axis=1, weights=seen + 1e-30)[:, None])
+    against = (centred * (flagged / np.maximum(seen, 1e-30))).sum(axis=1) < 0
+    return against & (flagged.sum(axis=1) > 0.5 * seen.sum(axis=1))
 
 
-def flag_rate_turned(one: Look) -> Answer:
-    """The same with inverted views turned."""
-    return labelled(rates_of(one, turned(one)) > 0.5)
+def flag_rate_turned(one: CaseObservation) -> Prediction:
+    """`flag_rate` with inverted views turned."""
+    return labelled(flag_rates(one, inverted_views(one)) > 0.5)
 
 
-def flag_rate_relative(one: Look) -> Answer:
-    """Flagged at least half as often as what is flagged most often."""
-    rates = rates_of(one, turned(one))
+def flag_rate_relative(one: CaseObservation) -> Prediction:
+    """Label Gaussians with at least half of the highest flag rate, inverted views turned."""
+    rates = flag_rates(one, inverted_views(one))
     flagged = rates[rates > 0.1]
-    best = np.quantile(flagged, OFTEN) if flagged.size else 1.0
+    best = np.quantile(flagged, TOP_QUANTILE) if flagged.size else 1.0
     return labelled(rates > 0.5 * best)
 
 
-def by_colour_too(one: Look) -> Answer:
-    """`robust` whose neighbours are near in place, colour and size."""
+def by_colour_too(one: CaseObservation) -> Prediction:
+    """`robust` with neighbours by position, colour and size."""
     gaussians = one.case.gaussians
     means = np.asarray(gaussians.means)
-    looks = [np.asarray(gaussians.sh[:, 0]), np.asarray(gaussians.log_scales).mean(1)[:, None]]
-    spacing = np.median(
-        np.linalg.norm(
-            means - means[nearest_neighbours(means, np.arange(len(means)), 8)[:, 7]], axis=1
-        )
-    )
-    columns = [means / spacing, *(2 * (c - c.mean(0)) / np.maximum(c.std(0), 1e-9) for c in looks)]
-    config = dataclasses.replace(DEFAULT, seed=one.case.seed)
-    found = find_robust(one.observation.evidence, np.concatenate(columns, axis=1), config)
-    return labelled(found.labels)
+    others = [np.asarray(gaussians.sh[:, 0]), np.asarray(gaussians.log_scales).mean(1)[:, None]]
+    eighth = nearest_neighbours(means, np.arange(len(means)), 8)[:, 7]
+    spacing = np.median(np.linalg.norm(means - means[eighth], axis=1))
+    scaled = [2 * (c - c.mean(0)) / np.maximum(c.std(0), 1e-9) for c in others]
+    columns = np.concatenate([means / spacing, *scaled], axis=1)
+    estimator = dataclasses.replace(DEFAULT, seed=one.case.seed)
+    return labelled(estimator.estimate_from_evidence(one.observation.evidence, columns).labels)
 
 
-def compact(one: Look) -> Answer:
-    """`robust` without what is labelled far from the rest."""
-    answer = checker(DEFAULT)(one)
-    chosen = np.flatnonzero(answer.labels)
+def compact(one: CaseObservation) -> Prediction:
+    """`robust` without small labelled parts apart from the heaviest one."""
+    prediction = predict_with(DEFAULT)(one)
+    chosen = np.flatnonzero(prediction.labels)
     if len(chosen) <= DEFAULT.neighbours:
-        return answer
+        return prediction
     points = np.asarray(one.case.gaussians.means)[chosen]
     near = nearest_neighbours(points, np.arange(len(points)), DEFAULT.neighbours)
     edges = np.repeat(np.arange(len(points)), near.shape[1]), near.ravel()
     graph = coo_array((np.ones(near.size, np.int8), edges), shape=(len(points), len(points)))
     _, part = connected_components(graph, directed=False)
     weight = np.bincount(part, np.sum(one.observation.evidence.total, axis=0)[chosen])
-    labels = np.zeros_like(answer.labels)
-    labels[chosen] = (weight >= ISLAND * weight.max())[part]
+    labels = np.zeros_like(prediction.labels)
+    labels[chosen] = (weight >= MIN_PART * weight.max())[part]
     return labelled(labels)
 
 
-def without(**changed: Any) -> Method:
-    """`robust` with some of its configuration changed."""
-    return checker(dataclasses.replace(DEFAULT, **changed))
+def robust_with(**fields: Any) -> Method:
+    """`robust` with some of its fields changed."""
+    return predict_with(dataclasses.replace(DEFAULT, **fields))
 
 
 VARIANTS: Mapping[str, Method] = {
     "flag rate over a half": flag_rate,
     "+ inverted views turned": flag_rate_turned,
     "+ relative to the best rate": flag_rate_relative,
-    "two latent classes": without(classes=(2,), rivals=False, smoothing=0.0),
-    "latent classes": without(rivals=False, smoothing=0.0),
-    "+ rivals": without(smoothing=0.0),
-    FULL: checker(DEFAULT),
-    "robust: no inverted views": without(inversion=False),
-    "robust: no rivals": without(rivals=False),
-    "robust: 8 classes": without(classes=(8,)),
-    "robust: up to 12 classes": without(classes=(4, 8, 12)),
-    "robust: 16 neighbours": without(neighbours=16),
+    "two latent classes": robust_with(classes=(2,), distractors=False, smoothing=0.0),
+    "latent classes": robust_with(distractors=False, smoothing=0.0),
+    "+ rivals": robust_with(smoothing=0.0),
+    FULL: predict_with(DEFAULT),
+    "robust: no inverted views": robust_with(inversion=False),
+    "robust: no rivals": robust_with(distractors=False),
+    "robust: 8 classes": robust_with(classes=(8,)),
+    "robust: up to 12 classes": robust_with(classes=(4, 8, 12)),
+    "robust: 16 neighbours": robust_with(neighbours=16),
     "robust: neighbours by colour too": by_colour_too,
     "robust: compact": compact,
-    "robust: no doubt": without(doubt=0.0),
+    "robust: no doubt": robust_with(min_verdict=0.0),
 }
+"""Variants by their names in the stored rows: rivals are distractors, doubt is `min_verdict`."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class BeyondArgs(ChosenArgs):
+    """Arguments of the experiment, with one seed."""
+
+    seeds: int = 1
 
 
 def rows_of(case: Case, methods: Mapping[str, Method]) -> list[Row]:
-    """Every variant under every failure."""
+    """Measure every variant under every failure."""
     regimes = {**REGIMES, "mixture": calibrated_mixture(case)}
-    return list(judge(look(case, detector_masks(case, regimes)), methods))
+    return list(judge(observe_regimes(case, detector_masks(case, regimes)), methods))
 
 
-def differences(rows: list[Row]) -> str:
-    """What each variant changes: mean, least and largest difference over cases and failures."""
+def changes(rows: Frame) -> str:
+    """Tabulate the F1 of each variant minus that of `robust`, over cases and failures."""
     lines = []
-    for name in values_of(rows, "method"):
+    for name in rows.method.unique():
         if name not in (FULL, *REFERENCE):
-            pairs = zip(where(rows, method=name), where(rows, method=FULL), strict=True)
-            change = [variant["f1"] - full["f1"] for variant, full in pairs]
+            change = differences(rows, name, FULL)
             lines.append([name, *(f"{f(change):+.3f}" for f in (np.mean, np.min, np.max))])
     return markdown(["variant", "mean", "least", "largest"], lines)
 
 
-def report(rows: list[Row]) -> str:
-    """The tables."""
+def report(rows: Frame) -> str:
+    """All tables."""
     return "\n\n".join(
         [
             "**F1 of the steps, and of `robust` with one thing changed, by failure**",
             pivot(rows, "method", "regime", reference=REFERENCE, digits=3),
             "**F1 minus that of `robust`, case by case and failure by failure**",
-            differences(rows),
+            changes(rows),
         ]
     )
 
 
 def main(args: BeyondArgs) -> None:
-    """Judge every variant on every case; print and write the tables and the chart."""
+    """Measure every variant on every case; print and write the tables and the chart."""
     methods = args.among(VARIANTS)
     cases = args.one_edit_each()
     rows = measured(args, "beyond", (rows_of(case, methods) for case in cases))

@@ -1,8 +1,8 @@
-"""SAGD's boundary decomposition: Gaussians that stick out of a mask are cut back to what is inside.
+"""SAGD's boundary decomposition: cut Gaussians that cross the border of a mask to the part inside.
 
-A Gaussian is drawn as the long axis of its projection. Where that segment crosses the border of the
-mask, the Gaussian is shrunk to the part inside and moved along its longest axis in space. What is
-sought is the object alone, so the part outside is not kept as a second Gaussian.
+A Gaussian is represented by the long axis of its projection. Where that segment crosses the border
+of the mask, the Gaussian is shrunk to the part inside and moved along its longest axis in space.
+The part outside is not kept as a second Gaussian, since only the object is wanted.
 """
 
 import dataclasses
@@ -11,13 +11,14 @@ import numpy as np
 
 from gsc_jax.render.projection import LOW_PASS, NEAR, project
 from gsc_jax.scene import Array, Camera, Gaussians
+from gsc_jax.scene.gaussians import rotation_matrices
 
 REACH = 1.5
 """Half the length of the segment, in standard deviations of the projection."""
 SHRINK = 0.8
-"""The axes are scaled by this times the share of the segment inside."""
+"""Factor of the axes, times the share of the segment inside (as in SAGD)."""
 SAMPLES = 128
-"""Points on a segment. Its ends are among them, so the share inside is never 0."""
+"""Points on a segment, ends included, so that the share inside is never 0."""
 
 
 def sagd_boundary(
@@ -25,21 +26,21 @@ def sagd_boundary(
 ) -> Gaussians:
     """SAGD's boundary decomposition for one view (Hu et al., SAGD, arXiv 2401.17857).
 
-    For all views, it is applied to its own result, view after view. With rho the share inside of
+    It is applied view after view, to its own result. With rho the share inside of
     the segment mu +- 1.5 sqrt(lambda) e, of the 2D covariance without the low-pass, all axes are
     scaled by 0.8 rho and the centre moves by 1.5 (1 - rho) of the largest standard deviation along
     its axis, towards the end that is inside.
 
     Args:
         gaussians: N Gaussians.
-        labels: Those that were selected, boolean, shape (N,).
+        labels: Selected Gaussians, shape (N,) bool.
         camera: The view.
-        mask: Its mask, boolean or tampered where > 0.5, shape (H, W); outside of the image is
-            outside of the mask.
+        mask: Mask of the view, tampered where > 0.5, shape (H, W); points outside of the image
+            count as outside of the mask.
         near: Near plane in world units.
 
     Returns:
-        N Gaussians, of which only selected and visible ones with one end inside have changed.
+        N Gaussians; only selected and visible ones with exactly one end inside differ.
 
     Raises:
         ValueError: if labels or mask have another shape.
@@ -65,9 +66,10 @@ def sagd_boundary(
 def _cut(
     gaussians: Gaussians, rows: np.ndarray, rho: np.ndarray, inward: np.ndarray, camera: Camera
 ) -> Gaussians:
-    """Shrink these rows to the share rho and move them where the image moves inward."""
+    """Shrink rows to the share rho, and move them so that their projections move inward."""
     means, log_scales = np.array(gaussians.means), np.array(gaussians.log_scales)
-    axes = _longest_axes(log_scales[rows], np.asarray(gaussians.rotations)[rows])
+    longest = log_scales[rows].argmax(axis=1)
+    axes = rotation_matrices(gaussians.take(rows))[np.arange(len(rows)), :, longest]
     towards = np.sum(_image_motion(means[rows], axes, camera) * inward, axis=1)
     length = REACH * (1 - rho) * np.exp(log_scales[rows].max(axis=1))
     means[rows] += (np.sign(towards) * length)[:, None] * axes
@@ -76,7 +78,7 @@ def _cut(
 
 
 def _long_axes(covs: np.ndarray) -> np.ndarray:
-    """sqrt(lambda) e of the larger eigenvalue of (xx, xy, yy) less the low-pass, shape (M, 2)."""
+    """sqrt(lambda) e of the larger eigenvalue of (xx, xy, yy) minus the low-pass, (M, 2)."""
     xx, xy, yy = covs.T
     middle, difference = (xx + yy) / 2 - LOW_PASS, (xx - yy) / 2
     length = np.sqrt(np.maximum(middle + np.hypot(difference, xy), 0))
@@ -85,23 +87,15 @@ def _long_axes(covs: np.ndarray) -> np.ndarray:
 
 
 def _inside(mask: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Whether points (..., 2) in pixels lie in the mask, shape (...)."""
+    """Whether points (..., 2) in pixels lie in the mask, shape (...) bool."""
     height, width = mask.shape
     within = np.all((points >= 0) & (points < [width, height]), axis=-1)
     column, row = np.moveaxis(np.where(within[..., None], points, 0).astype(int), -1, 0)
     return within & mask[row, column]
 
 
-def _longest_axes(log_scales: np.ndarray, rotations: np.ndarray) -> np.ndarray:
-    """The unit vector along the largest scale of each Gaussian, in the world, shape (M, 3)."""
-    from scipy.spatial.transform import Rotation
-
-    longest = np.eye(3)[log_scales.argmax(axis=1)]
-    return Rotation.from_quat(rotations, scalar_first=True).apply(longest).astype(np.float32)
-
-
 def _image_motion(means: np.ndarray, axes: np.ndarray, camera: Camera) -> np.ndarray:
-    """Where the projection of centres goes as they move along axes, up to a positive factor."""
+    """Direction in the image in which centres move along axes, up to a positive factor."""
     viewmat, K = np.asarray(camera.viewmat), np.asarray(camera.K)
     x, y, z = (means @ viewmat[:3, :3].T + viewmat[:3, 3]).T
     dx, dy, dz = (axes @ viewmat[:3, :3].T).T

@@ -1,7 +1,7 @@
-"""What every experiment looks at: scenes, edits of them with exact truth, and simulated detectors.
+"""Cases of the experiments: edits of scenes with exact truth, and simulated detectors.
 
-A case is one edit of one scene: everything the methods and the metrics need, made from three
-numbers (scene, edit, seed), so that any row of any table can be made again.
+A case is one edit of one scene with everything that the methods and the metrics need. It follows
+from scene, edit and seed, so that every row of every table can be reproduced.
 """
 
 import dataclasses
@@ -13,14 +13,16 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
-from baselines import inverse
+from cut_object import cut_object
+from detector_strengths import calibrated
 from garden import garden_cameras, make_garden
 
 from gsc_jax import load_cameras, load_ply
+from gsc_jax.benchmark.baseline import inverse_projection
 from gsc_jax.benchmark.metrics import mean_over_tampered_views, truth_mask
 from gsc_jax.benchmark.scenes import make_object, make_room, room_cameras
-from gsc_jax.benchmark.simulate import REGIMES, Failures, calibrated, decoy_labels, simulate
-from gsc_jax.benchmark.tamper import Edit, Tampered, cut_object, tamper
+from gsc_jax.benchmark.simulate import REGIMES, Failures, decoy_labels, simulate
+from gsc_jax.benchmark.tamper import Edit, Tampered, tamper
 from gsc_jax.evidence.detector import Detector, fit_to_view
 from gsc_jax.render.projection import project_centers
 from gsc_jax.scene import Camera, Gaussians, InputError
@@ -30,18 +32,19 @@ from gsc_jax.vote import cast_votes, tally
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 REAL, MADE = ("kitchen", "playbot", "flowers"), ("room", "garden")
 QUICK = "small room"
-"""What a quick run looks at: a tenth of the work."""
+"""Scene of a quick run: a tenth of the work."""
 OBJECTS = ("statue", "guitar", "plant")
 CUT = "cut from "
 HELDOUT_EVERY = 4
-"""Of the cameras of a real scene, every fourth is kept for the metrics."""
+"""Every fourth camera of a real scene is held out for the metrics."""
 WIDTH, HEIGHT = 360, 270
 RETRIES = 3
+"""Further seeds to try where a scene has no place for an edit."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Scene:
-    """An untouched scene, with cameras for the methods and others for the metrics."""
+    """An authentic scene, with cameras for the methods and held-out cameras for the metrics."""
 
     name: str
     gaussians: Gaussians
@@ -54,15 +57,15 @@ class Case:
     """One edit of one scene.
 
     Attributes:
-        scene: The untouched scene.
-        edit: Kind of the edit, incorporation, modification, removal or none.
-        seed: What chance followed, in the edit and in the detectors.
+        scene: The authentic scene.
+        edit: Kind of the edit: incorporation, modification, removal or none.
+        seed: Seed of the edit and of the detectors.
         gaussians: The edited scene.
         labels: True where a Gaussian is tampered, shape (N,).
         truth: Tampered pixels of the cameras, shape (V, H, W).
         heldout_truth: Tampered pixels of the held-out cameras, shape (U, H, W).
-        decoy: An authentic region that a detector may take for tampered, shape (V, H, W).
-        description: The edit in a sentence.
+        decoy: Masks of an authentic region that a detector may flag, shape (V, H, W).
+        description: What was done, in a sentence.
     """
 
     scene: Scene
@@ -77,21 +80,21 @@ class Case:
 
     @property
     def key(self) -> dict[str, object]:
-        """What names this case in a table."""
+        """Columns that identify the case in a table."""
         return {"scene": self.scene.name, "edit": self.edit, "seed": self.seed}
 
 
 def available(data: Path = DATA) -> tuple[str, ...]:
-    """The scenes that can be had here: the made ones always, the real ones if they are there."""
+    """Names of the made scenes, and of the real ones if their files exist."""
     return (REAL if (data / "scenes").is_dir() else ()) + MADE
 
 
 @functools.lru_cache(maxsize=2)
 def load_scene(name: str, data: Path = DATA) -> Scene:
-    """A scene by name, its cameras split into those for the methods and those for the metrics."""
-    gaussians, looked, heldout = _made(name) if name in (*MADE, QUICK) else _real(name, data)
+    """Load a scene by name."""
+    gaussians, cameras, heldout = _made(name) if name in (*MADE, QUICK) else _real(name, data)
     gaussians = jax.tree.map(np.asarray, gaussians)
-    return Scene(name=name, gaussians=gaussians, cameras=looked, heldout=heldout)
+    return Scene(name=name, gaussians=gaussians, cameras=cameras, heldout=heldout)
 
 
 def _made(name: str) -> tuple[Gaussians, list[Camera], list[Camera]]:
@@ -105,12 +108,12 @@ def _real(name: str, data: Path) -> tuple[Gaussians, list[Camera], list[Camera]]
     cameras = load_cameras(data / "scenes" / f"{name}.cameras.json")
     cameras = [camera.resized(WIDTH, HEIGHT) for camera in cameras]
     heldout = cameras[HELDOUT_EVERY // 2 :: HELDOUT_EVERY]
-    looked = [c for i, c in enumerate(cameras) if i % HELDOUT_EVERY != HELDOUT_EVERY // 2]
-    return load_ply(data / "scenes" / f"{name}.ply"), looked, heldout
+    others = [c for i, c in enumerate(cameras) if i % HELDOUT_EVERY != HELDOUT_EVERY // 2]
+    return load_ply(data / "scenes" / f"{name}.ply"), others, heldout
 
 
 def donor_name(scene: str, seed: int) -> str:
-    """What is pasted: by seed a scanned object, a made one, or one cut from a scene of its kind."""
+    """Name of the object to paste: by seed a scanned, a made or a cut one."""
     siblings = REAL if scene in REAL else MADE
     others = [name for name in siblings if name != scene]
     choices = [*(OBJECTS if scene in REAL else ("vase",)), f"{CUT}{others[seed % len(others)]}"]
@@ -119,18 +122,18 @@ def donor_name(scene: str, seed: int) -> str:
 
 
 def donor(scene: Scene, seed: int, data: Path = DATA) -> Gaussians:
-    """The object of that name."""
+    """Object to paste into a scene, upright with up = -y."""
     name = donor_name(scene.name, seed)
     if name in OBJECTS:
         return load_ply(data / "objects" / f"{name}.ply")
     if name.startswith(CUT):
-        elsewhere = load_scene(name.removeprefix(CUT), data)
-        return cut_object(elsewhere.gaussians, elsewhere.cameras, seed=seed)
+        source = load_scene(name.removeprefix(CUT), data)
+        return cut_object(source.gaussians, source.cameras, seed=seed)
     return make_object(seed=seed)
 
 
 def make_case(name: str, edit: Edit, seed: int, data: Path = DATA) -> Case:
-    """Edit a scene and look at the truth from everywhere."""
+    """Edit a scene and render the truth in all views."""
     scene, edited = load_scene(name, data), edit_scene(name, edit, seed, data)
     gaussians, labels = jax.tree.map(jnp.asarray, edited.gaussians), edited.labels
     decoy = decoy_labels(edited.gaussians, labels, seed=seed)
@@ -148,7 +151,7 @@ def make_case(name: str, edit: Edit, seed: int, data: Path = DATA) -> Case:
 
 
 def edit_scene(name: str, edit: Edit, seed: int, data: Path = DATA) -> Tampered:
-    """The edit of this seed, or of the next hundredth one for which the scene has a place."""
+    """Edit a scene with a seed, or with that plus 100, 200 or 300 if there is no place for it."""
     scene = load_scene(name, data)
     pasted = donor(scene, seed, data) if edit == "incorporation" else None
     for retry in range(RETRIES + 1):
@@ -163,7 +166,7 @@ def edit_scene(name: str, edit: Edit, seed: int, data: Path = DATA) -> Tampered:
 
 
 def seen_from(case: Case, cameras: list[Camera]) -> Case:
-    """The case looked at from other cameras."""
+    """The case with other cameras."""
     decoy = decoy_labels(case.gaussians, case.labels, seed=case.seed)
     return dataclasses.replace(
         case,
@@ -173,16 +176,16 @@ def seen_from(case: Case, cameras: list[Camera]) -> Case:
     )
 
 
-def untouched(imagined: Case) -> Case:
-    """The scene of a case as it was; what was edited there is now what looks suspicious."""
+def without_edit(edited: Case) -> Case:
+    """The scene of a case without its edit; the decoy is the region of the edit."""
     return dataclasses.replace(
-        imagined,
+        edited,
         edit="none",
-        gaussians=jax.tree.map(jnp.asarray, imagined.scene.gaussians),
-        labels=np.zeros(len(imagined.scene.gaussians), bool),
-        truth=np.zeros_like(imagined.truth),
-        heldout_truth=np.zeros_like(imagined.heldout_truth),
-        decoy=imagined.truth,
+        gaussians=jax.tree.map(jnp.asarray, edited.scene.gaussians),
+        labels=np.zeros(len(edited.scene.gaussians), bool),
+        truth=np.zeros_like(edited.truth),
+        heldout_truth=np.zeros_like(edited.heldout_truth),
+        decoy=edited.truth,
         description="Untouched.",
     )
 
@@ -192,7 +195,7 @@ def _masks(gaussians: Gaussians, cameras: list[Camera], labels: np.ndarray) -> n
 
 
 def detector_masks(case: Case, regimes: Mapping[str, Failures] = REGIMES) -> dict[str, np.ndarray]:
-    """What detectors with these failures say about the views of a case: (V, H, W) by regime."""
+    """Masks (V, H, W) of simulated detectors by regime."""
     return {
         regime: simulate(case.truth, case.decoy, seed=_seed(case, regime), failures=failures) > 0.5
         for regime, failures in regimes.items()
@@ -200,20 +203,20 @@ def detector_masks(case: Case, regimes: Mapping[str, Failures] = REGIMES) -> dic
 
 
 def masks_of(detector: Detector, gaussians: Gaussians, cameras: Sequence[Camera]) -> np.ndarray:
-    """What a detector that looks at pixels flags in renders of a scene, shape (V, H, W)."""
+    """Masks (V, H, W) of a detector that is shown renders of a scene."""
     images = [np.asarray(render(gaussians, camera)[0]) for camera in cameras]
     pairs = zip(images, cameras, strict=True)
     return np.stack([fit_to_view(detector(image, c), c) > 0.5 for image, c in pairs])
 
 
 def calibrated_mixture(case: Case) -> Failures:
-    """The mixture, so strong that the naive inverse projection keeps an F1 of 0.1 to 0.4."""
+    """Mixture of failures under which the inverse projection has an F1 between 0.1 and 0.4."""
     centers = [project_centers(case.gaussians.means, c.viewmat, c.K) for c in case.scene.cameras]
 
     def inverse_f1(failures: Failures) -> float:
         masks = detector_masks(case, {"mixture": failures})["mixture"]
         votes = [cast_votes(*place, mask) for place, mask in zip(centers, masks, strict=True)]
-        labels = inverse(tally(jnp.stack(votes)))
+        labels = inverse_projection(tally(jnp.stack(votes)))
         flagged = _masks(case.gaussians, case.scene.heldout, labels)
         return mean_over_tampered_views(list(flagged), list(case.heldout_truth)).f1
 
@@ -221,7 +224,7 @@ def calibrated_mixture(case: Case) -> Failures:
 
 
 def _seed(case: Case, regime: str) -> int:
-    # From the names, so that a regime fails alike whichever others are looked at.
+    # From the names, so that a regime does not depend on which others are measured.
     key = f"{case.scene.name} {case.edit} {case.seed} {regime}"
     return int.from_bytes(hashlib.blake2b(key.encode(), digest_size=8).digest())
 
@@ -229,7 +232,7 @@ def _seed(case: Case, regime: str) -> int:
 def reduced(
     case: Case, masks: Mapping[str, np.ndarray], views: int, scale: float = 1.0
 ) -> tuple[Case, dict[str, np.ndarray]]:
-    """The case with fewer cameras, evenly spread, and smaller images, and the masks there."""
+    """The case and its masks with fewer cameras, evenly spread, and smaller images."""
     total = len(case.scene.cameras)
     chosen = [k * total // views for k in range(views)]
     cameras = [case.scene.cameras[k].scaled(scale) for k in chosen]

@@ -1,12 +1,13 @@
-"""The charts of the experiments, in colours that everybody can tell apart."""
+"""Charts of the experiments, in colours for all kinds of colour vision."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-from tables import Row, mean, spread, values_of, where
+import pandas as pd
+from tables import Frame, spread, where
 
 from gsc_jax.io.files import atomic
 
@@ -19,24 +20,22 @@ MARKERS = "osD^vP*Xph<>8Hd"
 
 
 def save(figure: Any, path: Path) -> None:
-    """Write a figure under a temporary name, rename it, and forget it."""
+    """Write a figure, under a temporary name first, and close it."""
     with atomic(path) as temporary:
         figure.savefig(temporary, dpi=130, format="png")
     plt.close(figure)
 
 
-def grid(rows: Sequence[Row], path: Path, *, panels: str = "edit", across: str = "regime") -> None:
+def grid(rows: Frame, path: Path, *, panels: str = "edit", across: str = "regime") -> None:
     """Mean F1 as numbers on colours: methods down, a panel for each kind of edit."""
-    names, titles, columns = (values_of(rows, key) for key in ("method", panels, across))
+    names, titles, columns = (list(rows[key].unique()) for key in ("method", panels, across))
     size = (1.9 + 0.62 * len(columns) * len(titles), 1.4 + 0.3 * len(names))
     figure, axes = plt.subplots(1, len(titles), figsize=size, squeeze=False, layout="constrained")
     for axis, title in zip(axes[0], titles, strict=True):
-        values = [
-            [mean(where(rows, **{"method": n, across: c, panels: title})) for c in columns]
-            for n in names
-        ]
+        means = where(rows, **{panels: title}).groupby(["method", across]).f1.mean().unstack()
+        values = means.reindex(index=names, columns=columns).to_numpy()
         axis.imshow(values, cmap="cividis", vmin=0, vmax=1, aspect="auto")
-        for (y, x), value in np.ndenumerate(np.array(values)):
+        for (y, x), value in np.ndenumerate(values):
             color = "white" if value < 0.55 else "black"
             text = "-" if np.isnan(value) else f"{value:.2f}"
             axis.text(x, y, text, ha="center", va="center", fontsize=7.5, color=color)
@@ -47,16 +46,15 @@ def grid(rows: Sequence[Row], path: Path, *, panels: str = "edit", across: str =
 
 
 def curves(
-    panels: Mapping[str, Sequence[Row]],
+    panels: Mapping[str, Frame],
     path: Path,
     *,
     x: str,
-    metric: str = "f1",
     labels: tuple[str, str],
     columns: int = 3,
 ) -> None:
-    """A metric against a number: a panel per title, a line per method, its spread over seeds."""
-    names = list(dict.fromkeys(row["method"] for rows in panels.values() for row in rows))
+    """F1 against a number: a panel per title, a line per method, its spread over seeds."""
+    names = pd.concat(panels.values()).method.unique()
     count = -(-len(panels) // columns)
     size = (4.0 * min(columns, len(panels)), 3.0 * count + 0.7)
     figure, axes = plt.subplots(
@@ -66,28 +64,29 @@ def curves(
         axis.set_visible(False)
     for axis, (title, rows) in zip(axes.flat, panels.items(), strict=False):
         for k, name in enumerate(names):
-            points = sorted(values_of(where(rows, method=name), x))
-            chosen = [where(rows, method=name, **{x: point}) for point in points]
-            middle = np.array([mean(some, metric) for some in chosen])
-            around = np.array([spread(some, metric) for some in chosen])
+            groups = where(rows, method=name).groupby(x)
+            middle = groups.f1.mean()
+            around = np.array([spread(group) for _, group in groups])
             color, style = COLORS[k % len(COLORS)], "-" if k < len(COLORS) else "--"
-            axis.plot(points, middle, style, marker=MARKERS[k], ms=4, color=color, label=name)
-            axis.fill_between(points, middle - around, middle + around, color=color, alpha=0.12)
+            axis.plot(middle.index, middle, style, marker=MARKERS[k], ms=4, color=color, label=name)
+            axis.fill_between(
+                middle.index, middle - around, middle + around, color=color, alpha=0.12
+            )
         axis.set(title=title, xlabel=labels[0], ylabel=labels[1], ylim=(-0.03, 1.03))
         axis.grid(visible=True, alpha=0.25)
     figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     save(figure, path)
 
 
-def pareto(points: Sequence[Row], front: Mapping[str, Row], path: Path) -> None:
-    """F1 against seconds, and a line through what no faster point equals, by label.
+def pareto(points: Frame, front: Mapping[str, Any], path: Path) -> None:
+    """F1 against seconds, and a line through the Pareto front, whose points are labelled.
 
-    A colour per method, hollow for its variants; a marker per number of views; size is scale; where
-    there is a choice of epochs, their number stands beside.
+    A colour per method, hollow for its variants; a marker per number of views; the size is the
+    scale of the images; the number of epochs stands beside a point where it varies.
     """
     figure, axis = plt.subplots(figsize=(10.5, 6.5), layout="constrained")
-    names, views, scales = (values_of(points, key) for key in ("method", "views", "scale"))
-    views.sort()
+    names, scales = points.method.unique(), points.scale.unique()
+    views = sorted(points["views"].unique())
     bases = list(dict.fromkeys(name.split(",")[0] for name in names))
 
     def draw(x: float, y: float, name: str, k: int = 0, scale: float = 0.5, **style: Any) -> Any:
@@ -96,7 +95,7 @@ def pareto(points: Sequence[Row], front: Mapping[str, Row], path: Path) -> None:
         style = {"fc": face, "ec": color, "marker": MARKERS[k], "s": size, **style}
         return axis.scatter(x, y, alpha=0.75, linewidths=1.2, **style)
 
-    for p in points:
+    for _, p in points.iterrows():
         at = p["seconds"], p["f1"]
         draw(*at, p["method"], views.index(p["views"]), p["scale"])
         axis.annotate(p["epochs"], at, (5, -3), textcoords="offset points", fontsize=6.5)
@@ -105,7 +104,7 @@ def pareto(points: Sequence[Row], front: Mapping[str, Row], path: Path) -> None:
     handles += [draw(*away, "", k, label=f"{view} views") for k, view in enumerate(views)]
     handles += [draw(*away, "", scale=scale, label=f"scale {scale:g}") for scale in scales]
     x, y = ([point[key] for point in front.values()] for key in ("seconds", "f1"))
-    last = max(values_of(points, "seconds"))
+    last = points.seconds.max()
     axis.step([*x, last], [*y, y[-1]], where="post", color="black", lw=1)
     for k, (label, p) in enumerate(front.items(), start=1):
         at = p["seconds"], p["f1"]

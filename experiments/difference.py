@@ -1,9 +1,8 @@
-"""A stand-in for a 2D tampering detector that truly looks at pixels: it remembers the original.
+"""A 2D detector that compares renders with those of the authentic scene.
 
-It flags where a render differs from the render of the authentic scene. No forensic detector has
-that knowledge. It exists because the detectors of `simulate` read the truth and so cannot be
-affected by noise or blur of the image; this one is, in the way that matters there: distortions look
-like tampering to it, and hide it.
+No forensic detector has the authentic scene. This one exists because simulated detectors read the
+truth, so that noise and blur of the image cannot affect them; they do affect this one, since
+distortions look like tampering to it and hide it.
 """
 
 from collections.abc import Sequence
@@ -16,13 +15,10 @@ from gsc_jax.splat import render
 
 
 class DifferenceDetector:
-    """Flags where a render differs from what the authentic scene looks like from there.
+    """Flags pixels where a render differs from that of the authentic scene.
 
-    Not a forensic detector: it is given the authentic scene, which nobody has who needs one. Use it
-    where a detector must depend on the pixels, and never to say how well tampering is found.
-
-    Attributes:
-        needs_image: True, it compares images.
+    Use it where a detector must depend on the pixels, not to measure how well tampering is found:
+    no forensic detector has the authentic scene.
     """
 
     needs_image = True
@@ -36,15 +32,15 @@ class DifferenceDetector:
         width: float = 0.015,
         near: float = NEAR,
     ) -> None:
-        """Remembers the authentic scene.
+        """Initialise the detector.
 
         Args:
-            authentic: The scene before it was tampered with.
+            authentic: The scene before the edit.
             level: Smoothed difference in [0, 1] above which a pixel is flagged. Noise of standard
-                deviation sigma alone amounts to 0.8 sigma, at which a level finds it everywhere.
+                deviation sigma alone causes a difference of 0.8 sigma.
             smooth: Standard deviation in pixels over which differences are averaged.
-            width: Difference over which the probability changes: at `level + width` it is 0.73.
-            near: Near plane in world units, that of the images it is shown.
+            width: Scale of the logistic function of the difference.
+            near: Near plane of the images in world units.
 
         Raises:
             ValueError: if an option is out of its range.
@@ -58,22 +54,22 @@ class DifferenceDetector:
         self.level, self.smooth, self.width, self.near = level, smooth, width, near
 
     def select(self, cameras: Sequence[Camera]) -> list[Camera]:
-        """All the cameras: it can judge any view."""
+        """All cameras."""
         return list(cameras)
 
     def __call__(self, image: np.ndarray | None, camera: Camera) -> np.ndarray:
-        """How surely a render is not one of the authentic scene.
+        """Compute a probability map from the difference to the authentic scene.
 
         Args:
             image: Render of the scene in question, in [0, 1], shape (H, W, 3).
             camera: The view.
 
         Returns:
-            Probability of tampering, above 0.5 where the smoothed mean absolute difference
-            of the channels is above `level`, shape (H, W) float32.
+            Probability map, above 0.5 where the smoothed mean absolute difference of the channels
+            is above `level`, shape (H, W) float32.
 
         Raises:
-            ValueError: if there is no image, or it has not the size of the view.
+            ValueError: if there is no image, or its size is not that of the view.
         """
         from scipy.ndimage import gaussian_filter
         from scipy.special import expit

@@ -1,8 +1,8 @@
 """A second made scene, outdoors: a walled garden around a fountain, and cameras that walk in it.
 
-Unlike the room it has no flat floor, foliage without a skin, a far background of few wide Gaussians
-and a sun, so that nothing is tuned on one room. Lawn, path, lawn, wall, hills and sky are rings
-around the fountain. Metres, y down, the ground about y = 0; something can be put on `PLINTH`.
+Unlike the room it has an uneven floor, foliage, a far background of few wide Gaussians and a sun,
+so that experiments do not depend on one room. Lawn, path, lawn, wall, hills and sky are rings
+around the fountain. Metres, y down, the ground about y = 0; an object can be put on `PLINTH`.
 """
 
 import dataclasses
@@ -13,15 +13,25 @@ import numpy as np
 from gsc_jax.benchmark import surfaces
 from gsc_jax.benchmark.furniture import BRICK, OAK, WALNUT
 from gsc_jax.benchmark.scenes import concatenate
-from gsc_jax.benchmark.surfaces import UP, Habits, Part, Surface, Texture, Vector, made_of, revolve
+from gsc_jax.benchmark.surfaces import (
+    UP,
+    Part,
+    Surface,
+    Texture,
+    TrainingStatistics,
+    Vector,
+    revolve,
+    sample_parts,
+)
 from gsc_jax.render.orbit import look_at
 from gsc_jax.render.spherical_harmonics import Y0
 from gsc_jax.scene import Camera, Gaussians
+from gsc_jax.scene.camera import intrinsics
 
 LAWN, PATH, WALL, HORIZON = 2.4, 3.5, 5.8, 16.0
-"""Radii at which the inner lawn, the path, the outer lawn and the hills end."""
+"""Outer radii of the inner lawn, the path, the outer lawn and the hills, in metres."""
 SUN = np.array([0.55, -0.75, -0.37])
-MATT = Habits(lit=0.0, gloss=0.02)
+MATT = TrainingStatistics(lit=0.0, gloss=0.02)
 
 GRASS = Texture("grass.png", (0.95, 1.15, 0.6), (12, 3), contrast=0.8)
 GRAVEL = Texture("gravel.png", (1.45, 1.3, 1.05), (10, 1), contrast=0.7)
@@ -34,29 +44,22 @@ FLOWERS = Texture("coffee.png", (1.5, 0.9, 1.2), (2, 2), contrast=1.3)
 
 
 def ground(x: float | np.ndarray, z: float | np.ndarray) -> np.ndarray:
-    """Height of the uneven ground, in metres upwards."""
+    """Height of the uneven ground in metres."""
     swell = 0.1 * np.sin(1.1 * x + 0.7 * z) + 0.07 * np.sin(1.9 * z - 0.8 * x + 1.0)
     return swell * np.clip(np.hypot(x, z) - 0.9, 0, 1)
 
 
 def _foot(x: float, z: float) -> np.ndarray:
-    # Sunk a little, since the ground slopes under anything wider than a point.
+    # Below the ground by 0.05, since the ground slopes under a wide foot.
     return np.array([x, 0.05 - ground(x, z), z])
 
 
 PLINTH = _foot(1.0, -0.95) + 0.75 * UP
-"""The middle of the top of a plinth on which nothing stands."""
+"""Centre of the top of an empty plinth."""
 
 
 def make_garden(*, seed: int = 0, count: int = 50_000) -> Gaussians:
-    """A garden with a fountain, plinths, a bench, bushes and trees within a wall.
-
-    Args:
-        seed: What the sampling and the plants follow.
-        count: Number of Gaussians N; a thirtieth is sky, another one floats in the air.
-
-    Returns:
-        N Gaussians of degree 1.
+    """Make a garden of `count` Gaussians of degree 1; a thirtieth is sky, a thirtieth floaters.
 
     Raises:
         ValueError: if the count is below 3.
@@ -66,23 +69,22 @@ def make_garden(*, seed: int = 0, count: int = 50_000) -> Gaussians:
     parts = [*_rings(), *_furniture(), *_plants(rng)]
     sky = Part(_turned([(HORIZON, -1.0), (15.0, 4.0), (10.0, 8.0), (0.0, 10.0)]), SKY)
     few = max(1, count // 30)
-    things = _sunlit(made_of(parts, count - 2 * few, habits=MATT, rng=rng))
+    things = _sunlit(sample_parts(parts, count - 2 * few, statistics=MATT, rng=rng))
     near = things.take(rng.integers(len(things), size=few))
     adrift = near.means + rng.normal(0, 0.25, (few, 3)).astype(np.float32)
     faint = dataclasses.replace(near, means=adrift, logit_opacities=near.logit_opacities - 5)
-    return concatenate([things, made_of([sky], few, habits=MATT, rng=rng), faint])
+    return concatenate([things, sample_parts([sky], few, statistics=MATT, rng=rng), faint])
 
 
 def garden_cameras(
     n: int, *, width: int = 480, height: int = 360, seed: int = 0, prefix: str = "garden"
 ) -> list[Camera]:
-    """Cameras of somebody walking once along the path, held low or high, looking at the fountain.
+    """Make n hand-held cameras on a walk along the path; every eighth looks over the wall.
 
-    The arguments are those of `scenes.room_cameras`. Every eighth looks out over the wall instead.
+    The arguments are those of `scenes.room_cameras`.
     """
     rng = np.random.default_rng([seed, 5])
-    focal = 0.75 * width
-    K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]], np.float32)
+    K = intrinsics(0.75 * width, width, height)
     cameras = []
     for i, (x, z) in enumerate(_places(n, LAWN + 0.4, PATH, rng)):
         aside = np.array([1.7 * x - 0.8 * z, 0, 1.7 * z + 0.8 * x]) if i % 8 == 5 else np.zeros(3)
@@ -94,14 +96,14 @@ def garden_cameras(
 
 
 def _places(n: int, near: float, far: float, rng: np.random.Generator) -> np.ndarray:
-    """Places (x, z) of n things around the fountain, at about even turns, shape (n, 2)."""
+    """Places (x, z) around the fountain at about even angles, shape (n, 2)."""
     turns = 2 * np.pi * (np.arange(n) + rng.random() + rng.uniform(-0.3, 0.3, n)) / max(n, 1)
     radius = rng.uniform(near, far, n)
     return np.stack([radius * np.cos(turns), radius * np.sin(turns)], axis=-1)
 
 
 def _ring(inner: float, outer: float) -> Surface:
-    """A ring of the uneven ground."""
+    """Ring of the uneven ground."""
     level = revolve(np.stack([np.linspace(outer, inner, 65), np.zeros(65)], axis=-1), (0, 0, 0))
 
     def at(uv: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -114,7 +116,7 @@ def _ring(inner: float, outer: float) -> Surface:
 
 
 def _turned(curve: Sequence[tuple[float, float]], foot: Vector = (0, 0, 0)) -> Surface:
-    """What a lathe makes of a few points (radius, height), upwards for an outside."""
+    """Surface of revolution through points (radius, height), upwards for an outside."""
     fine = np.linspace(0, len(curve) - 1, 97)
     columns = [np.interp(fine, np.arange(len(curve)), column) for column in np.transpose(curve)]
     return revolve(np.stack(columns, axis=-1), foot)
@@ -123,7 +125,7 @@ def _turned(curve: Sequence[tuple[float, float]], foot: Vector = (0, 0, 0)) -> S
 def _leafy(
     middle: np.ndarray, radius: float, height: float, texture: Texture, rng: np.random.Generator
 ) -> Part:
-    """Foliage in an ellipsoid: points drawn inwards, leaves that face anywhere, its own colour."""
+    """Foliage in an ellipsoid: points moved inwards, random normals, a random tint."""
     skin = surfaces.ellipsoid(middle, radius, height)
     red, green, blue = texture.tint * rng.uniform(0.8, 1.2, 3)
 
@@ -136,7 +138,7 @@ def _leafy(
 
 
 def _rings() -> list[Part]:
-    """All that goes around: the grounds, the wall, the hills and the fountain."""
+    """Rings: the grounds, the wall, the hills and the fountain."""
     rim = WALL + 0.25
     hills = [(HORIZON, 1.1), (13.0, 0.6), (11.0, 0.1), (9.0, -0.3), (rim + 0.8, -0.5)]
     wall = [(rim, -0.5), (rim, 0.6), (WALL, 0.6), (WALL, -0.3)]
@@ -189,7 +191,7 @@ def _plants(rng: np.random.Generator) -> list[Part]:
 
 
 def _sunlit(gaussians: Gaussians) -> Gaussians:
-    """The same Gaussians with the light of the sun and of the sky in their colours."""
+    """Multiply colours by the light of the sun and of the sky."""
     from scipy.spatial.transform import Rotation
 
     normals = Rotation.from_quat(gaussians.quats, scalar_first=True).as_matrix()[..., 2]

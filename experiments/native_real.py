@@ -1,70 +1,67 @@
-"""The Gaussians' own evidence on the two scenes that others tampered with.
+"""Forensic evidence from the attributes on two scenes that were tampered with by others.
 
-    python experiments/train_cues.py --keep .cues
+    python experiments/train_classifier.py --keep .cues
     python experiments/native_real.py --keep .cues [--data ../shared/data/tampered] [--out docs]
 
-Each by the model that never saw the scene; nothing was tuned on these two. As they are, and after
-host and object were exported alike in 8 bits; by themselves, and with the masks that lie there.
+Each scene is measured with a classifier that never saw it; nothing was tuned on these two. As they
+are, and after an export of host and object in 8 bits; alone, and with the masks of the detector.
 """
 
 import dataclasses
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 from export import exported
-from native import EXPORTS, model_without
-from real_scenes import Args, Scene, load
+from native import EXPORTS, classifier_without
+from real_scenes import HELDOUT, Args, Scene, load
 from runner import start
 from tables import markdown, write_section
 
-from gsc_jax import RobustConfig, view_mask
+from gsc_jax import view_mask
 from gsc_jax.benchmark.metrics import auc, confusion, mean_over_tampered_views
-from gsc_jax.estimators.gschecker import find
-from gsc_jax.estimators.protocol import Finding
-from gsc_jax.forensics.evidence import find_native, native_evidence
+from gsc_jax.estimators import METHODS, Finding
+from gsc_jax.forensics.evidence import estimate_from_attributes, forensic_evidence
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class RealArgs(Args):
-    """As the others, and where the models are."""
+    """Folders of the scenes, of the tables, and of the classifiers."""
 
     keep: Path = Path(".cues")
 
 
 def findings(scene: Scene, keep: Path) -> Iterator[tuple[str, Finding]]:
-    """What is found in a scene, by what it was found from."""
-    model = model_without(scene.name.split("-")[0], keep)
-    saved = {EXPORTS[0]: scene.gaussians, EXPORTS[1]: exported(scene.gaussians)}
-    asked = {export: native_evidence(own, model=model) for export, own in saved.items()}
-    for export, told in asked.items():
-        names = ", ".join(trace.name for trace in told.traces if trace.found) or "no trace"
-        yield f"Gaussians, no traces, {export}", find_native(told.without_traces)
-        yield f"Gaussians, {export} ({names})", find_native(told)
-    look = scene.gaussians, scene.cameras["looked at"], scene.observation, RobustConfig()
-    yield "masks", find(*look)
-    for export, told in asked.items():
-        yield f"masks + Gaussians, {export}", find(*look, told.prior)
+    """Findings by the evidence that they are based on."""
+    classifier = classifier_without(scene.name.split("-")[0], keep)
+    saved = dict(zip(EXPORTS, (scene.gaussians, exported(scene.gaussians)), strict=True))
+    evidence = {name: forensic_evidence(own, classifier=classifier) for name, own in saved.items()}
+    for export, own in evidence.items():
+        names = ", ".join(trace.name for trace in own.traces if trace.found) or "no trace"
+        yield f"Gaussians, no traces, {export}", estimate_from_attributes(own.without_traces)
+        yield f"Gaussians, {export} ({names})", estimate_from_attributes(own)
+    yield "masks", METHODS["robust"].estimate(scene.observation)
+    for export, own in evidence.items():
+        yield f"masks + Gaussians, {export}", METHODS["robust"].estimate(scene.observation, own)
 
 
-def scores(scene: Scene, finding: Finding, labels: np.ndarray) -> Mapping[str, str]:
+def scores(scene: Scene, finding: Finding, labels: np.ndarray) -> dict[str, str]:
     """AUC and F1 per Gaussian, F1 on the held-out views, and the verdict."""
-    cameras, truths = scene.cameras["held out"], scene.truths["held out"]
     masks = [
         view_mask(scene.gaussians, camera, finding.tamper, finding.labels, rule="share")
-        for camera in cameras
+        for camera in scene.cameras[HELDOUT]
     ]
     values = {
         "AUC per Gaussian": auc(finding.attribute, labels),
         "F1 per Gaussian": confusion(finding.labels, labels).f1,
-        "F1 per view": mean_over_tampered_views(masks, truths).f1,
+        "F1 per view": mean_over_tampered_views(masks, scene.truths[HELDOUT]).f1,
         "verdict": finding.verdict or 0.0,
     }
     return {name: f"{value:.3f}" for name, value in values.items()}
 
 
 def main(args: RealArgs) -> None:
-    """Look at both scenes; print and write the table."""
+    """Measure both scenes; print and write the table."""
     lines, heads = [], []
     for folder in sorted(path for path in args.data.iterdir() if path.is_dir()):
         scene, labels = load(folder), np.load(folder / "labels.npy")

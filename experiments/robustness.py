@@ -1,13 +1,12 @@
-"""Table 2 of the paper: noise and blur on what the detector sees, and noise on the model.
+"""Table 2 of the paper: noise and blur of the images, and noise on the model.
 
     python experiments/robustness.py [--quick] [--out docs]
 
-On modifications, as there, under two detectors. `difference` truly looks at the distorted pixels:
-it remembers the original scene, as no forensic detector does, and flags what differs. `mixture` is
-simulated from the truth, calibrated as in `editing.py`; it cannot see the pixels, so it stands only
-where the model is distorted. With noise on the model the distorted one is all that the methods
-have, for renders, evidence and their answer in held-out views; the truth is that of the edit
-before the distortion.
+On modifications, as in the paper, with two detectors. `difference` compares the distorted images
+with the original scene, which no forensic detector has, and flags the differences. `mixture` is
+simulated from the truth, calibrated as in `editing.py`; it has no images, so it is measured only
+where the model is distorted. With noise on the model, methods get the distorted model only: for
+renders, evidence and the masks of held-out views. The truth is that of the undistorted edit.
 """
 
 import dataclasses
@@ -21,10 +20,10 @@ import jax.numpy as jnp
 from cases import Case, calibrated_mixture, detector_masks, masks_of
 from difference import DifferenceDetector
 from distort import DISTORTIONS
-from looks import Method, look
 from methods import ALL_METHODS
+from observations import Method, observe_regimes
 from runner import REFERENCE, ChosenArgs, judge, measured, start
-from tables import Row, pivot, values_of, where, write_section
+from tables import Frame, Row, pivot, where, write_section
 
 PAPER = {
     "none": {"SA3D": 0.8348, "GS-Checker paper": 0.9017},
@@ -33,11 +32,11 @@ PAPER = {
     "scales": {"SA3D": 0.8302, "GS-Checker paper": 0.8801},
     "opacities": {"SA3D": 0.8129, "GS-Checker paper": 0.8959},
 }
-"""F1 in the paper's Table 2, whose strengths it does not state: beside ours, not comparable."""
+"""F1 in the paper's Table 2, whose strengths it does not state: not comparable with ours."""
 
 
 def rows_of(case: Case, methods: Mapping[str, Method]) -> Iterator[Row]:
-    """Every distortion, detector and method on one edit."""
+    """Measure every distortion, detector and method on one edit."""
     mixture = detector_masks(case, {"mixture": calibrated_mixture(case)})
     original = DifferenceDetector(case.scene.gaussians)
     for name, distortion in DISTORTIONS.items():
@@ -47,12 +46,12 @@ def rows_of(case: Case, methods: Mapping[str, Method]) -> Iterator[Row]:
         masks = {"difference": masks_of(detector, distorted.gaussians, case.scene.cameras)}
         if distortion.image is None:
             masks |= mixture
-        for row in judge(look(distorted, masks), methods):
+        for row in judge(observe_regimes(distorted, masks), methods):
             yield {**row, "distortion": name}
 
 
 def strength(name: str) -> float:
-    """Standard deviation of a distortion, in the unit that the text names."""
+    """Standard deviation of a distortion, in the unit that the report gives."""
     distortion = DISTORTIONS[name]
     function = distortion.image or distortion.model
     assert function is not None
@@ -60,19 +59,19 @@ def strength(name: str) -> float:
 
 
 def quoted(names: Iterable[str]) -> dict[str, dict[str, str]]:
-    """The paper's columns for these distortions."""
+    """Columns of the paper for these distortions."""
     return {
         f"paper, {name}": {method: f"{f1:.2f}" for method, f1 in PAPER[name].items()}
         for name in names
     }
 
 
-def report(rows: list[Row]) -> str:
-    """The tables, the paper's figures beside ours."""
+def report(rows: Frame) -> str:
+    """All tables, with the figures of the paper."""
     table = functools.partial(
         pivot, down="method", across="distortion", total=False, reference=REFERENCE
     )
-    looking, simulated = (where(rows, regime=regime) for regime in ("difference", "mixture"))
+    compared, simulated = (where(rows, regime=regime) for regime in ("difference", "mixture"))
     return "\n\n".join(
         [
             f"Noise of {strength('noise')} on renders in [0, 1]; renders blurred by "
@@ -82,16 +81,16 @@ def report(rows: list[Row]) -> str:
             "level at which they are flagged.",
             "**F1 on modifications, the detector looks at the distorted renders** (the paper's "
             "Table 2; its figures are from other scenes, another detector and unknown strengths)",
-            table(looking, extra=quoted(PAPER)),
+            table(compared, extra=quoted(PAPER)),
             "**F1 on modifications, mixture of failures, the masks unaffected by the distortion** "
             "of the model that they are lifted through",
-            table(simulated, extra=quoted(values_of(simulated, "distortion"))),
+            table(simulated, extra=quoted(simulated.distortion.unique())),
         ]
     )
 
 
 def main(args: ChosenArgs) -> None:
-    """Judge every modification; print and write the tables and the chart."""
+    """Measure every modification; print and write the tables and the chart."""
     cases = args.cases(edits=("modification",))
     methods = args.among(ALL_METHODS)
     rows = measured(args, "robustness", (rows_of(case, methods) for case in cases))

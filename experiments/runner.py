@@ -1,8 +1,8 @@
-"""The runner of the experiments: what a script covers, and how answers are judged and kept.
+"""Runner of the experiments: their arguments, measurement of predictions, and stored rows.
 
-Every experiment is a list of cases, a set of mask sets per case ("regimes") and a set of methods.
-The blending weights of a view serve all regimes at once, and one composite of all answers as
-channels scores them in a held-out view.
+An experiment is a list of cases, a set of mask sets per case ("regimes") and a set of methods. The
+blending weights of a view serve all regimes, and one composite with all predictions as channels
+scores them in a held-out view.
 """
 
 import dataclasses
@@ -13,14 +13,14 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
+import pandas as pd
 import tyro
 from cases import DATA, QUICK, Case, available, make_case
-from looks import Answer, Look, Method
 from methods import ALL_METHODS, labelled
-from tables import Row, read_csv, write_csv
+from observations import CaseObservation, Method, Prediction
+from tables import Frame, Row, read_csv, write_csv
 from tqdm import tqdm
 
 from gsc_jax.benchmark.metrics import (
@@ -38,30 +38,31 @@ from gsc_jax.splat import composite_with_alpha
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 CHANNELS = 32
-"""Answers composited at once."""
+"""Predictions composited at once."""
 ITSELF = "the detector itself"
-"""What lifting has to beat."""
+"""Masks of the detector on the views that it was shown: lifting should improve on them."""
 TRUTH = "true labels"
-"""The upper bound: 1 by definition, unless the model is distorted before it is looked at."""
+"""Upper bound: 1 by definition, unless the model is distorted before it is observed."""
 REFERENCE = (ITSELF, TRUTH)
-"""Rows that take no part in the contest."""
+"""Rows that are not methods."""
 SAME = 2e-3
-"""How well the F1 of these rows is reproduced on another machine."""
+"""Largest difference of the F1 of these rows between machines."""
+CASE_KEYS = ["scene", "edit", "seed", "regime"]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Args:
-    """What an experiment covers, and where its tables go.
+    """Arguments of an experiment.
 
     Attributes:
-        quick: A small run, in minutes, whose numbers mean little: to see that all of it works.
+        quick: Do a small run, in minutes, whose numbers mean little: to see that all of it works.
         out: Folder of results.md, the charts and the tables.
         data: The real scenes; without them only made scenes are used.
-        scenes: Which scenes; all that are there by default.
-        edits: Which kinds of edit.
-        seeds: How many seeds per scene and edit.
-        first_seed: The first of them. The tables begin at 0; `robust` was tuned on 10 and 11.
-        reprint: Measure nothing: make the tables and charts again of the CSV in the folder.
+        scenes: Scenes to use; all that are available by default.
+        edits: Kinds of edit to use.
+        seeds: Number of seeds per scene and edit.
+        first_seed: First seed. The tables begin at 0; `robust` was tuned on 10 and 11.
+        reprint: Measure nothing: make the tables and charts again from the CSV in the folder.
     """
 
     quick: bool = False
@@ -74,7 +75,7 @@ class Args:
     reprint: bool = False
 
     def cases(self, edits: Sequence[Edit] | None = None) -> Iterator[Case]:
-        """The cases covered, scene by scene; in a quick run one edit of one made scene each."""
+        """Cases scene by scene; in a quick run one seed per edit of one small made scene."""
         scenes = (QUICK,) if self.quick else self.scenes or available(self.data)
         count = 1 if self.quick else self.seeds
         seeds = range(self.first_seed, self.first_seed + count)
@@ -83,7 +84,7 @@ class Args:
             yield make_case(scene, edit, seed, self.data)
 
     def one_edit_each(self) -> Iterator[Case]:
-        """The cases of an experiment that is long: one kind of edit per scene, taking turns."""
+        """Cases of a long experiment: one kind of edit per scene, in rotation."""
         for k, scene in enumerate(self.scenes or available(self.data)):
             if not (self.quick and k):
                 one = dataclasses.replace(self, scenes=(scene,))
@@ -92,61 +93,62 @@ class Args:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ChosenArgs(Args):
-    """As the others, and which methods.
+    """Arguments of an experiment that can be limited to some methods.
 
     Attributes:
-        methods: Measure these methods only, by the names in the tables; the rows of all others are
-            kept from the CSV in the folder.
+        methods: Measure only these methods, by their names in the tables; the rows of all others
+            are kept from the CSV in the folder.
     """
 
     methods: tuple[str, ...] = ()
 
     def among(self, known: Mapping[str, Method]) -> dict[str, Method]:
-        """Of the methods those asked for; all where none is."""
+        """The requested methods; all by default."""
         unknown = [name for name in self.methods if name not in known]
         if unknown:
             raise InputError(f"--methods {unknown[0]!r}: expected some of {', '.join(known)}")
         return {name: known[name] for name in self.methods or known}
 
 
-def measured(args: Args, name: str, per_case: Iterable[Iterable[Row]]) -> list[Row]:
-    """The rows of all cases, kept in OUT/NAME.partial.csv on the way; or those measured before."""
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class FewArgs(Args):
+    """Arguments of an experiment with one seed."""
+
+    seeds: int = 1
+
+
+def measured(args: Args, name: str, per_case: Iterable[Iterable[Row]]) -> Frame:
+    """Measure all cases, with intermediate rows in OUT/NAME.partial.csv; or read OUT/NAME.csv."""
     path, partial = args.out / f"{name}.csv", args.out / f"{name}.partial.csv"
     if args.reprint:
         return read_csv(existing_file(path, expected="rows measured before"))
     if args.quick and path.exists():
         raise InputError(f"{path}: is there; a quick run would replace it, give another --out")
     chosen = isinstance(args, ChosenArgs) and args.methods
-    before = read_csv(existing_file(path, expected="rows of the others")) if chosen else []
+    before = read_csv(existing_file(path, expected="rows of the others")) if chosen else None
     args.out.mkdir(parents=True, exist_ok=True)
     rows: list[Row] = []
     for more in per_case:
         rows += more
-        write_csv(partial, rows)
+        write_csv(partial, pd.DataFrame(rows))
     if not rows:
         raise InputError("nothing to measure: --scenes, --edits and --seeds leave no case")
-    rows = beside(before, rows) if before else rows
-    write_csv(partial, rows)
+    merged = pd.DataFrame(rows) if before is None else merge(before, pd.DataFrame(rows))
+    write_csv(partial, merged)
     partial.replace(path)
-    return rows
+    return merged
 
 
-def beside(before: Sequence[Row], rows: Sequence[Row]) -> list[Row]:
-    """Rows of some methods after the rows of the others, measured before on the same cases."""
-    if {_case(row) for row in before} != {_case(row) for row in rows}:
+def merge(before: Frame, rows: Frame) -> Frame:
+    """Append rows of some methods to rows of the others, measured before on the same cases."""
+    cases = [set(some[CASE_KEYS].itertuples(index=False, name=None)) for some in (before, rows)]
+    if cases[0] != cases[1]:
         raise InputError("--methods: the rows in the folder are of other cases; measure all anew")
-    then, now = (
-        [row["f1"] for row in some if row["method"] in REFERENCE] for some in (before, rows)
-    )
+    then, now = (some[some.method.isin(REFERENCE)].f1.to_numpy() for some in (before, rows))
     if len(then) != len(now) or not np.allclose(then, now, atol=SAME, equal_nan=True):
         raise InputError("--methods: the rows in the folder are of other masks; measure all anew")
-    new = {row["method"] for row in rows if row["method"] not in REFERENCE}
-    kept = [row for row in before if row["method"] not in new]
-    return [*kept, *(row for row in rows if row["method"] in new)]
-
-
-def _case(row: Row) -> tuple[object, ...]:
-    return tuple(row[key] for key in ("scene", "edit", "seed", "regime"))
+    new = rows[~rows.method.isin(REFERENCE)]
+    return pd.concat([before[~before.method.isin(new.method)], new], ignore_index=True)
 
 
 def start(main: Callable[[Any], None], description: str | None) -> None:
@@ -158,46 +160,37 @@ def start(main: Callable[[Any], None], description: str | None) -> None:
         sys.exit(f"{Path(sys.argv[0]).name}: {error}")
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class FewArgs(Args):
-    """As the others, with one seed."""
+def judge(
+    observed: Mapping[str, CaseObservation], methods: Mapping[str, Method] = ALL_METHODS
+) -> Iterator[Row]:
+    """Measure the detector itself, the true labels and every method under every regime.
 
-    seeds: int = 1
-
-
-def judge(looks: Mapping[str, Look], methods: Mapping[str, Method] = ALL_METHODS) -> Iterator[Row]:
-    """Rows per regime: the detector itself, the true labels and every method.
-
-    The detector is scored on the views that it was shown, all others on the held-out ones.
+    The detector is scored on the views that it was shown, all others on the held-out views.
     """
-    case = next(iter(looks.values())).case
-    answers = {
+    case = next(iter(observed.values())).case
+    predictions = {
         (regime, name): method(one)
-        for regime, one in looks.items()
+        for regime, one in observed.items()
         for name, method in {TRUTH: lambda _: labelled(case.labels), **methods}.items()
     }
-    masks = heldout_masks(case.gaussians, case.scene.heldout, list(answers.values()))
-    for regime, one in looks.items():
-        said = np.stack(list(one.observation.masks.values()))
-        row = {**case.key, "regime": regime, "method": ITSELF, **by_view(said, one.case.truth)}
+    masks = heldout_masks(case.gaussians, case.scene.heldout, list(predictions.values()))
+    for regime, one in observed.items():
+        own = np.stack(list(one.observation.masks.values()))
+        row = {**case.key, "regime": regime, "method": ITSELF, **by_view(own, one.case.truth)}
         yield {**row, "f1_gaussians": np.nan, "auc": np.nan}
-    for (regime, name), predicted in zip(answers, masks, strict=True):
-        yield {
-            **case.key,
-            "regime": regime,
-            "method": name,
-            **scores(case, answers[regime, name], predicted),
-        }
+    for (key, prediction), mask in zip(predictions.items(), masks, strict=True):
+        row = {**case.key, **dict(zip(("regime", "method"), key, strict=True))}
+        yield {**row, **scores(case, prediction, mask)}
 
 
 def heldout_masks(
-    gaussians: Gaussians, cameras: Sequence[Camera], answers: Sequence[Answer]
+    gaussians: Gaussians, cameras: Sequence[Camera], predictions: Sequence[Prediction]
 ) -> list[np.ndarray]:
-    """Tampered pixels per answer, each (U, H, W); answers on one scene share a composite."""
-    masks: list[np.ndarray] = [np.zeros(0)] * len(answers)
-    for scene in {id(answer.gaussians): answer.gaussians for answer in answers}.values():
-        own = [k for k, answer in enumerate(answers) if answer.gaussians is scene]
-        some = [answers[k] for k in own]
+    """Tampered pixels per prediction, each (U, H, W); predictions on one scene share composites."""
+    masks: list[np.ndarray] = [np.zeros(0)] * len(predictions)
+    for scene in {id(one.gaussians): one.gaussians for one in predictions}.values():
+        own = [k for k, one in enumerate(predictions) if one.gaussians is scene]
+        some = [predictions[k] for k in own]
         views = [
             _flagged(make_view(gaussians if scene is None else scene, camera), some)
             for camera in cameras
@@ -207,36 +200,36 @@ def heldout_masks(
     return masks
 
 
-def _flagged(view: View, answers: Sequence[Answer]) -> np.ndarray:
-    """Tampered pixels of a view, shape (answers, H, W)."""
+def _flagged(view: View, predictions: Sequence[Prediction]) -> np.ndarray:
+    """Tampered pixels of a view, shape (predictions, H, W)."""
     flagged = []
-    for start in range(0, len(answers), CHANNELS):
-        some = answers[start : start + CHANNELS]
+    for first in range(0, len(predictions), CHANNELS):
+        some = predictions[first : first + CHANNELS]
         features = np.zeros((len(some[0].labels), CHANNELS), np.float32)
-        features[:, : len(some)] = np.stack([answer.rendered for answer in some], axis=1)
+        features[:, : len(some)] = np.stack([one.rendered for one in some], axis=1)
         image, alpha = map(np.asarray, composite_with_alpha(view, jnp.asarray(features)))
         covered = alpha > MIN_COVERAGE
-        for k, answer in enumerate(some):
-            scale = 1.0 if answer.absolute else alpha
-            flagged.append(covered & (image[..., k] > answer.level * scale))
+        for k, one in enumerate(some):
+            scale = 1.0 if one.absolute else alpha
+            flagged.append(covered & (image[..., k] > one.level * scale))
     return np.stack(flagged)
 
 
-def scores(case: Case, answer: Answer, predicted: np.ndarray) -> dict[str, float]:
-    """Scores of an answer, with its masks (U, H, W) of the held-out views."""
-    return {**by_view(predicted, case.heldout_truth), **by_gaussian(case, answer)}
+def scores(case: Case, prediction: Prediction, masks: np.ndarray) -> dict[str, float]:
+    """Scores of a prediction, with its masks (U, H, W) of the held-out views."""
+    return {**by_view(masks, case.heldout_truth), **by_gaussian(case, prediction)}
 
 
-def by_view(predicted: np.ndarray, truth: np.ndarray) -> dict[str, float]:
-    """Scores of masks (V, H, W): IMDL-BenCo's, and the share of the pixels falsely flagged."""
-    found = mean_over_tampered_views(list(predicted), list(truth))
-    values = {name: getattr(found, name) for name in ("f1", "iou", "precision", "recall")}
-    values["false_area"] = float(false_positive_area(list(predicted & ~truth)).mean())
+def by_view(masks: np.ndarray, truth: np.ndarray) -> dict[str, float]:
+    """IMDL-BenCo's scores of masks (V, H, W), and the share of the pixels falsely flagged."""
+    mean = mean_over_tampered_views(list(masks), list(truth))
+    values = {name: getattr(mean, name) for name in ("f1", "iou", "precision", "recall")}
+    values["false_area"] = float(false_positive_area(list(masks & ~truth)).mean())
     return {name: round(value, 4) for name, value in values.items()}
 
 
-def by_gaussian(case: Case, answer: Answer) -> dict[str, float]:
-    """Scores of the labels, weighted by opacity, and of the score behind them."""
-    weights = np.asarray(jax.nn.sigmoid(jnp.asarray(case.gaussians.logit_opacities)))
-    found = confusion(answer.labels, case.labels, weights=weights)
-    return {"f1_gaussians": round(found.f1, 4), "auc": round(auc(answer.score, case.labels), 4)}
+def by_gaussian(case: Case, prediction: Prediction) -> dict[str, float]:
+    """F1 of the labels, weighted by opacity, and AUC of the score."""
+    opacities = np.asarray(case.gaussians.opacities)
+    f1 = confusion(prediction.labels, case.labels, weights=opacities).f1
+    return {"f1_gaussians": round(f1, 4), "auc": round(auc(prediction.score, case.labels), 4)}

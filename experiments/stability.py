@@ -1,11 +1,11 @@
-"""Until what strength of each failure a method holds, and what it does where nothing can be said.
+"""Strengths of each failure up to which a method works, and degenerate cases.
 
     python experiments/stability.py [--quick] [--out docs]
 
-One edit of each scene. Each failure of the detector grows alone, up to an extreme; the views that
-are missed, inverted or flagged wrongly at one strength are so at all greater ones (blobs are drawn
-anew). SA3D's gate is left out, since it renders twice per view and strength, and what is `robust`
-once more. The degenerate cases are of the made room.
+One edit of each scene. Each failure of the detector grows alone, up to an extreme; views that are
+missed, inverted or falsely flagged at one strength are so at all greater ones (blobs are drawn
+anew). SA3D's gate, which renders twice per view and strength, and the variant of `robust` are left
+out. The degenerate cases are of the made room.
 """
 
 import dataclasses
@@ -16,15 +16,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from cases import Case, detector_masks, reduced
-from looks import look
+from detector_strengths import scaled
 from methods import ALL_METHODS
+from observations import observe_regimes
 from runner import REFERENCE, FewArgs, judge, measured, start
-from tables import Row, markdown, mean, values_of, where, write_section
+from tables import Frame, Row, markdown, where, write_section
 
 from gsc_jax.benchmark.metrics import truth_mask
 from gsc_jax.benchmark.simulate import REGIMES, Failures
-from gsc_jax.estimators.gschecker import find
-from gsc_jax.estimators.robust.estimator import RobustConfig
+from gsc_jax.estimators import METHODS
 from gsc_jax.scene import Array, Gaussians
 
 LEFT_OUT = "SA3D, gate", "robust, rendered"
@@ -36,9 +36,9 @@ FAILURES: Mapping[str, tuple[Failures, float, str]] = {
     "blobs": (Failures(blobs=6.0), 6.0, "blobs per view"),
     "consistent": (Failures(decoy=0.5), 50, "% of the views"),
     "inverted": (Failures(inverted=0.35), 35, "% of the views"),
-    "mixture": (REGIMES["mixture"].scaled(2.0), 2.0, "x the mixture"),
+    "mixture": (scaled(REGIMES["mixture"], 2.0), 2.0, "x the mixture"),
 }
-"""Each failure at strength 1, what number that is, and of what."""
+"""Each failure at strength 1, its amount there, and the unit of the amount."""
 RELEASED = {
     "no view says tampered": "NaN in comparisons; right by luck",
     "every view says everything": "r becomes NaN",
@@ -49,42 +49,43 @@ RELEASED = {
     "all Gaussians alike but for their place": "-",
     "half of the object unseen": "votes although nothing of it is seen",
 }
-"""The degenerate cases, and what the released code does."""
+"""The degenerate cases, and the behaviour of the released code."""
 
 
 def rows_of(case: Case, strengths: Sequence[float]) -> Iterator[Row]:
-    """Every failure, strength and method on one edit; a look per failure bounds the memory."""
+    """Measure every failure, strength and method on one edit, a failure at a time for memory."""
     for failure, (base, unit, _) in FAILURES.items():
         masks = {
-            f"{unit * s:g}": detector_masks(case, {failure: base.scaled(s)})[failure]
+            f"{unit * s:g}": detector_masks(case, {failure: scaled(base, s)})[failure]
             for s in strengths
         }
-        for row in judge(look(case, masks), COMPARED):
+        for row in judge(observe_regimes(case, masks), COMPARED):
             if row["method"] not in REFERENCE:
                 yield {**row, "regime": failure, "strength": float(row["regime"])}
 
 
-def breaks_at(rows: Sequence[Row], unit: str) -> str:
-    """Where F1 falls below half of what it is without failures, between two strengths."""
-    strengths = sorted(values_of(rows, "strength"))
-    f1 = [mean(where(rows, strength=s)) for s in strengths]
-    k = next((k for k, value in enumerate(f1) if value < f1[0] / 2), None)
-    if k is None:
+def breaks_at(rows: Frame, unit: str) -> str:
+    """Amount at which F1 falls below half of that without failures, interpolated."""
+    f1 = rows.groupby("strength").f1.mean()
+    strengths, values = f1.index.to_numpy(), f1.to_numpy()
+    below = np.flatnonzero(values < values[0] / 2)
+    if not below.size:
         return "holds"
-    part = (f1[k - 1] - f1[0] / 2) / (f1[k - 1] - f1[k])
+    k = below[0]
+    part = (values[k - 1] - values[0] / 2) / (values[k - 1] - values[k])
     return f"{strengths[k - 1] + part * (strengths[k] - strengths[k - 1]):.2g} {unit}"
 
 
 def degenerate(case: Case) -> Iterator[tuple[Case, np.ndarray]]:
-    """The cases of `RELEASED`, in its order, each with its masks."""
+    """Cases of `RELEASED`, in its order, each with its masks."""
     cameras, scene, truth = case.scene.cameras, case.gaussians, case.truth
     yield case, np.zeros_like(truth)
     yield case, np.ones_like(truth)
-    single, said = reduced(case, {"": truth}, 1)
-    yield single, said[""]
+    single, masks = reduced(case, {"": truth}, 1)
+    yield single, masks[""]
     yield case, np.concatenate([~truth[:1], truth[1:]])
-    about = np.diag([-1.0, 1.0, -1.0, 1.0]).astype(np.float32)
-    away = [dataclasses.replace(c, viewmat=about @ np.asarray(c.viewmat)) for c in cameras[1:]]
+    backwards = np.diag([-1.0, 1.0, -1.0, 1.0]).astype(np.float32)
+    away = [dataclasses.replace(c, viewmat=backwards @ np.asarray(c.viewmat)) for c in cameras[1:]]
     turned = dataclasses.replace(case.scene, cameras=[cameras[0], *away])
     seen = [truth_mask(scene, camera, case.labels) for camera in turned.cameras]
     yield dataclasses.replace(case, scene=turned), np.stack(seen)
@@ -93,7 +94,7 @@ def degenerate(case: Case) -> Iterator[tuple[Case, np.ndarray]]:
 
 
 def damaged(case: Case) -> Iterator[Gaussians]:
-    """Scenes with rows that cannot be rendered, with nothing to compare, with unseen Gaussians."""
+    """Scenes with invalid rows, with equal attributes, and with unseen Gaussians."""
     scene, rows = case.gaussians, np.arange(len(case.gaussians)) % 100
     means = np.where(rows[:, None] == 0, np.nan, scene.means)
     scales = np.where(rows[:, None] == 1, np.inf, scene.log_scales)
@@ -112,34 +113,33 @@ def _with(scene: Gaussians, **parts: Array) -> Gaussians:
 
 
 def degenerate_table(case: Case) -> str:
-    """What every method labels, and whether it is finite."""
+    """Tabulate the labelled share of every method, and scores that are not finite."""
     lines = []
     for (name, reference), (one, masks) in zip(RELEASED.items(), degenerate(case), strict=True):
-        looked = look(one, {name: masks})[name]
+        observed = observe_regimes(one, {name: masks})[name]
         cells = []
         for method in COMPARED.values():
-            answer = method(looked)
-            lost = ~(np.isfinite(answer.score) & np.isfinite(answer.rendered))
-            cells.append(
-                f"{answer.labels.mean():.1%}" + (f", NaN {lost.mean():.1%}" if lost.any() else "")
-            )
-        found = find(one.gaussians, one.scene.cameras, looked.observation, RobustConfig())
-        lines.append([name, *cells, " ".join(found.warnings) or "-", reference])
+            prediction = method(observed)
+            lost = ~(np.isfinite(prediction.score) & np.isfinite(prediction.rendered))
+            nan = f", NaN {lost.mean():.1%}" if lost.any() else ""
+            cells.append(f"{prediction.labels.mean():.1%}{nan}")
+        finding = METHODS["robust"].estimate(observed.observation)
+        lines.append([name, *cells, " ".join(finding.warnings) or "-", reference])
     return markdown(["case", *COMPARED, "robust says", "the released code"], lines)
 
 
-def breaking_table(rows: Sequence[Row]) -> str:
-    """The strength at which each method breaks."""
+def breaking_table(rows: Frame) -> str:
+    """Tabulate the amount of each failure at which each method breaks."""
     lines = []
     for name in COMPARED:
         own = where(rows, method=name)
         cells = [breaks_at(where(own, regime=f), unit) for f, (_, _, unit) in FAILURES.items()]
-        lines.append([name, f"{mean(where(own, strength=0.0)):.2f}", *cells])
+        lines.append([name, f"{where(own, strength=0.0).f1.mean():.2f}", *cells])
     return markdown(["method", "F1 without failures", *FAILURES], lines)
 
 
 def main(args: FewArgs) -> None:
-    """Strain every case; print and write the tables and the chart."""
+    """Measure every case; print and write the tables and the chart."""
     strengths = STRENGTHS[::2] if args.quick else STRENGTHS
     cases = args.one_edit_each()
     rows = measured(args, "stability", (rows_of(case, strengths) for case in cases))

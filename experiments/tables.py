@@ -1,46 +1,33 @@
-"""What the experiments share on paper: CSV, tables in Markdown, sections of `docs/results.md`."""
+"""CSV files, tables in Markdown and sections of `docs/results.md`."""
 
-import csv
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+import pandas as pd
 
 from gsc_jax.io.files import atomic
 
 Row = dict[str, Any]
+Frame = Any
+"""`pandas.DataFrame`: its own annotations are too loose for a static checker."""
+Best = Literal["max", "min"]
 
 
-def write_csv(path: Path, rows: Sequence[Row]) -> None:
-    """Write rows; what one of them lacks is not a number."""
-    keys = dict.fromkeys(key for row in rows for key in row)
-    with atomic(path) as temporary, temporary.open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(keys), restval="nan")
-        writer.writeheader()
-        writer.writerows(rows)
+def write_csv(path: Path, rows: Frame) -> None:
+    """Write rows with missing values as `nan`, under a temporary name first."""
+    with atomic(path) as temporary:
+        rows.to_csv(temporary, index=False, na_rep="nan")
 
 
-def read_csv(path: Path) -> list[Row]:
-    """Read rows back, numbers as numbers."""
-    with path.open(newline="") as file:
-        return [{key: _number(text) for key, text in row.items()} for row in csv.DictReader(file)]
-
-
-def _number(text: str) -> Any:
-    for kind in (int, float):
-        try:
-            return kind(text)
-        except ValueError:
-            continue
-    return text
+def read_csv(path: Path) -> Frame:
+    """Read rows written by `write_csv`; empty text stays empty text."""
+    return pd.read_csv(path, keep_default_na=False, na_values=["nan"])
 
 
 def write_section(path: Path, name: str, text: str) -> None:
-    """Replace what stands between the marks `<!-- name -->` and `<!-- /name -->` of a page.
-
-    A page or section that is not there is begun.
-    """
+    """Replace the text between `<!-- name -->` and `<!-- /name -->`; append both if missing."""
     begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
     page = path.read_text() if path.exists() else ""
     if begin not in page or end not in page:
@@ -51,97 +38,84 @@ def write_section(path: Path, name: str, text: str) -> None:
         temporary.write_text(f"{before}{begin}\n{text.strip()}\n{end}{after}")
 
 
-def where(rows: Sequence[Row], **chosen: object) -> list[Row]:
-    """The rows that have these values."""
-    return [row for row in rows if all(row[key] == value for key, value in chosen.items())]
+def where(rows: Frame, **values: object) -> Frame:
+    """Select the rows with these values in these columns."""
+    chosen = np.ones(len(rows), bool)
+    for column, value in values.items():
+        chosen &= (rows[column] == value).to_numpy()
+    return rows[chosen]
 
 
-def mean(rows: Sequence[Row], metric: str = "f1") -> float:
-    """Mean of a metric over the rows in which it exists; not a number where there is none."""
-    values = [row[metric] for row in rows if not np.isnan(row[metric])]
-    return float(np.mean(values)) if values else float("nan")
+def spread(rows: Frame, metric: str = "f1") -> float:
+    """Standard deviation over seeds of the mean of a metric; 0 for a single seed."""
+    means = rows.groupby("seed")[metric].mean()
+    return float(means.std()) if len(means) > 1 else 0.0
 
 
-def spread(rows: Sequence[Row], metric: str = "f1") -> float:
-    """Standard deviation over seeds of the mean over everything else; 0 for a single seed."""
-    means = [mean(where(rows, seed=seed), metric) for seed in values_of(rows, "seed")]
-    return float(np.std(means, ddof=1)) if len(means) > 1 else 0.0
-
-
-def values_of(rows: Sequence[Row], key: str) -> list[Any]:
-    """The values of a column, in the order in which they first appear."""
-    return list(dict.fromkeys(row[key] for row in rows))
+def differences(rows: Frame, one: str, other: str) -> np.ndarray:
+    """F1 of a method minus that of another, case by case, in the order of the rows."""
+    pairs = zip(where(rows, method=one).f1, where(rows, method=other).f1, strict=True)
+    return np.array([a - b for a, b in pairs])
 
 
 def markdown(heads: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """A table in Markdown."""
+    """Format a table in Markdown."""
     lines = [heads, ["---"] * len(heads), *rows]
     return "\n".join(f"| {' | '.join(map(str, line))} |" for line in lines)
 
 
 def pivot(
-    rows: Sequence[Row],
+    rows: Frame,
     down: str,
     across: str,
     *,
     metric: str = "f1",
     total: bool = True,
-    best: Callable[[Sequence[float]], float] | None = max,
-    extra: dict[str, dict[str, str]] | None = None,
+    best: Best | None = "max",
+    extra: Mapping[str, Mapping[str, str]] | None = None,
     reference: Sequence[str] = (),
     digits: int = 2,
 ) -> str:
-    """A table in Markdown: mean and spread over seeds of a metric, the best of a column in bold.
+    """Tabulate mean and standard deviation over seeds of a metric, the best per column in bold.
 
     Args:
-        rows: What was measured, with a column `seed`.
-        down: The column whose values are the rows of the table.
-        across: The column whose values are its columns.
-        metric: What is averaged.
+        rows: Measurements, with a column `seed`.
+        down: Column whose values are the rows of the table.
+        across: Column whose values are the columns of the table.
+        metric: Column to average.
         total: Add the mean over all columns.
-        best: Picks what is set in bold; None for nothing.
-        extra: Further columns, by heading and row.
-        reference: Rows that take no part in the contest for the best.
-        digits: After the point.
+        best: Whether the largest or the smallest mean is set in bold; None for none.
+        extra: Further columns of texts, by heading and row.
+        reference: Rows that are never set in bold.
+        digits: Decimal places.
     """
     extra = extra or {}
-    names, columns = values_of(rows, down), values_of(rows, across)
-    cells = {
-        name: [where(rows, **{down: name, across: column}) for column in columns]
-        + ([where(rows, **{down: name})] if total else [])
-        for name in names
-    }
-    contest = [name for name in names if name not in reference]
-    width = len(columns) + total
-    winners = [
-        _winner([mean(cells[name][k], metric) for name in contest], best) for k in range(width)
+    columns = {str(c): where(rows, **{across: c}) for c in rows[across].unique()}
+    if total:
+        columns["mean"] = rows
+    table = {}
+    for column, own in columns.items():
+        groups = own.groupby(down, sort=False)
+        cells: Frame = pd.DataFrame({"mean": groups[metric].mean(), "seeds": groups.seed.nunique()})
+        cells["spread"] = [spread(group, metric) for _, group in groups]
+        contest = cells["mean"].drop(list(reference), errors="ignore").dropna()
+        winner = getattr(contest, best)() if best and len(contest) else None
+        table[column] = {
+            name: _cell(cell, None if name in reference else winner, digits)
+            for name, cell in cells.iterrows()
+        }
+    lines = [
+        [name, *(cells.get(name, "-") for cells in table.values())]
+        + [texts.get(name, "") for texts in extra.values()]
+        for name in rows[down].unique()
     ]
-    heads = [down, *map(str, columns), *(["mean"] if total else []), *extra]
-    lines = []
-    for name in names:
-        texts = [
-            _cell(cells[name][k], metric, winners[k] if name in contest else None, digits)
-            for k in range(width)
-        ]
-        texts += [column.get(name, "") for column in extra.values()]
-        lines.append([name, *texts])
-    return markdown(heads, lines)
+    return markdown([down, *table, *extra], lines)
 
 
-def _winner(
-    values: Sequence[float], best: Callable[[Sequence[float]], float] | None
-) -> float | None:
-    known = [value for value in values if not np.isnan(value)]
-    return best(known) if best and known else None
-
-
-def _cell(rows: Sequence[Row], metric: str, winner: float | None, digits: int) -> str:
-    value = mean(rows, metric)
-    if np.isnan(value):
+def _cell(cell: Any, winner: float | None, digits: int) -> str:
+    if np.isnan(cell["mean"]):
         return "-"
-    text = f"{value:z.{digits}f}"
+    text = f"{cell['mean']:z.{digits}f}"
     if winner is not None and text == f"{winner:z.{digits}f}":
         text = f"**{text}**"
-    return (
-        f"{text} ± {spread(rows, metric):.{digits}f}" if len(values_of(rows, "seed")) > 1 else text
-    )
+    return f"{text} ± {cell['spread']:.{digits}f}" if cell["seeds"] > 1 else text

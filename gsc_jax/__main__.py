@@ -1,7 +1,84 @@
-"""`python -m gsc_jax` is `gsc-jax`."""
+"""Entry point of `gsc-jax` and of `python -m gsc_jax`.
 
+Ctrl-C (SIGINT) ends the process with exit code 130 and SIGTERM with 143, each with one line on
+stderr. The handlers are installed before the package is imported, because importing JAX takes
+seconds. Cleaning up may take `GRACE_SECONDS`; after that, as in the middle of a long call into a
+native library, the process ends without it and leaves temporary files, which a later run removes.
+"""
+
+import os
+import signal
+import socket
 import sys
+import threading
+import time
+from types import FrameType
+from typing import NoReturn
 
-from gsc_jax_command import main
+GRACE_SECONDS = 5.0
+"""Time to clean up: removing the temporary files of a run takes well below a second."""
 
-sys.exit(main())
+
+def main() -> int:
+    """Run the command line of this process.
+
+    Returns:
+        The exit code; after a signal the function does not return.
+    """
+    stop = _Stop()
+    from gsc_jax.cli.main import main as run
+
+    stop.imported = True
+    try:
+        return run()
+    except BaseException:  # libraries may turn the KeyboardInterrupt into any other error
+        if stop.number:
+            _leave(stop.number)
+        raise
+
+
+class _Stop:
+    """Handler of SIGINT and SIGTERM: raises KeyboardInterrupt at the first signal.
+
+    Attributes:
+        imported: Whether importing has ended; until then a signal ends the process at once.
+        number: The signal that was received, or 0.
+        frame: The interrupted frame, kept alive because native threads may still read its arrays.
+    """
+
+    def __init__(self) -> None:
+        self.imported, self.number, self.frame = False, 0, None
+        # A signal that is ignored already, as in a background job, stays ignored.
+        if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+            signal.signal(signal.SIGINT, self)
+        if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
+            signal.signal(signal.SIGTERM, self)
+        self._reader, self._writer = socket.socketpair()
+        self._writer.setblocking(False)
+        # Written to even while the main thread is inside a native library.
+        signal.set_wakeup_fd(self._writer.fileno(), warn_on_full_buffer=False)
+        threading.Thread(target=self._enforce, daemon=True).start()
+
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        if not self.imported:
+            _leave(number)
+        if not self.number:
+            self.number, self.frame = number, frame
+            raise KeyboardInterrupt
+
+    def _enforce(self) -> None:
+        number = self._reader.recv(1)[0]
+        time.sleep(GRACE_SECONDS)
+        _leave(number)
+
+
+def _leave(number: int) -> NoReturn:
+    """End the process without waiting for threads that still compute."""
+    sys.stdout.flush()
+    sys.stderr.write("gsc-jax: interrupted; no file is left half written\n")
+    sys.stderr.flush()
+    os._exit(128 + number)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,4 +1,16 @@
-"""The whole method: scene, cameras and perhaps a 2D detector in, the tampered Gaussians out."""
+"""The whole method: Gaussians, cameras and a 2D detector in, tampered Gaussians out.
+
+The steps, in the terms of GS-Checker (section 3), and where each is:
+
+1. render every view (eq. 4), run the 2D detector on it, cast the votes of its mask (eq. 5) and lift
+   the mask to evidence, which replaces rendering in eq. 9 and 10: `evidence.observation.observe`;
+2. compute the initial attribute from the votes (eq. 6), optimise it with the 2D and the 3D loss
+   (eq. 7 to 12), apply the threshold: `GSChecker.estimate`, with `vote`, `losses` and `loop`.
+   `RobustEstimator.estimate` infers the reliability of every mask instead, and fuses the masks with
+   the evidence from the attributes (`forensics.evidence`); without a detector, that evidence
+   decides alone;
+3. render the mask of every view from the labels: `evidence.masks.view_mask`.
+"""
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
@@ -9,49 +21,45 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from gsc_jax.estimators.gschecker import CONFIGS, Config, Method, find, settled
-from gsc_jax.estimators.protocol import Finding, Reliability
-from gsc_jax.estimators.robust.early_stopping import Effort, observe_enough
-from gsc_jax.estimators.robust.estimator import RobustConfig
+from gsc_jax.estimators import Estimator, Finding, Method, Prior, configured
+from gsc_jax.estimators.protocol import Reliability
+from gsc_jax.estimators.robust.early_stopping import EarlyStopping, observe_until_stable
 from gsc_jax.evidence.detector import Detector, as_detector
 from gsc_jax.evidence.masks import view_mask
-from gsc_jax.evidence.monitor import Progress, Stages, silent
+from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.evidence.observation import observe
-from gsc_jax.forensics.evidence import Native, find_native, native_evidence
+from gsc_jax.forensics.evidence import ForensicEvidence, estimate_from_attributes, forensic_evidence
 from gsc_jax.render.visibility import check_views
 from gsc_jax.scene import Camera, Gaussians, InputError, invalid_rows
-from gsc_jax.scene.parallel import WORKERS, ahead
+from gsc_jax.scene.parallel import WORKERS, bounded_map
 
-DISAGREEMENT = 0.1
-"""A finding that covers less than this share of what was flagged is worth a warning."""
+MIN_CONFIRMED = 0.1
+"""Warn if the final masks cover less than this share of what the detector flagged."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Result:
-    """What was found.
+    """Tampered Gaussians and pixels, and how they were found.
 
     Attributes:
-        tamper: Score in [0, 1], shape (N,) float32; 0 where nothing is known of a Gaussian. Of
-            `robust` it is the probability to be tampered, given an edit (`fusion.py`); all 0 where
-            next to nothing speaks for one.
-        labels: Tampered Gaussians, shape (N,) bool.
-        attribute: Raw attribute r, shape (N,) float32; unbounded. Of `robust` the log odds.
-        verdict: Probability that anything was tampered with; None of methods that cannot say.
-        reliability: Of `robust`, by camera name: whether the mask finds what is tampered, misses
-            it, or is inverted.
-        masks: Tampered pixels (H, W) bool of every view, by camera name.
-        detections: What the 2D detector said, (H, W) float16 in [0, 1], by camera name.
-        seen: Gaussians that contributed to some pixel, or that could be described where no
-            detector looked, shape (N,) bool.
+        tamper: Score in [0, 1], shape (N,) float32; 0 for Gaussians without any evidence. For
+            `robust`, the probability of tampering, given that the scene was edited.
+        labels: Tampered Gaussians: score above the threshold, shape (N,) bool.
+        attribute: Raw attribute r, shape (N,) float32, unbounded; log odds for `robust`.
+        verdict: Scene probability: that anything was edited; None if the method gives none.
+        reliability: Reliability of each mask by camera name; empty if the method infers none.
+        masks: Tampered pixels of every view, (H, W) bool, by camera name.
+        probabilities: Probability maps of the 2D detector, (H, W) float16, by camera name.
+        seen: Gaussians visible in at least one view, or without a detector those whose attributes
+            could be used, shape (N,) bool.
         group_sizes: Sizes of G_h, G_m and G_l in every iteration, shape (iterations, 3).
-        effort: How many views `robust` looked at, and why no more; None where all were wanted.
-        native: What the Gaussians themselves said; None where they were not asked.
-        method: Name of the method.
-        config: Its resolved configuration.
-        stages: By stage its seconds, which overlap where views are worked on in threads, and the
-            peak memory of the process in MiB when it ended.
-        seconds: Wall time of the whole.
-        warnings: What a user should know, in sentences.
+        early_stopping: How many views were used and why; None if all were used regardless.
+        prior: Prior of the method; None if it used none.
+        estimator: The estimator with its configuration.
+        stages: Seconds and peak memory in MiB by stage. Stages overlap where views are processed
+            in threads.
+        seconds: Wall time.
+        warnings: Sentences for the user.
     """
 
     tamper: np.ndarray
@@ -60,16 +68,20 @@ class Result:
     verdict: float | None
     reliability: dict[str, Reliability]
     masks: dict[str, np.ndarray]
-    detections: dict[str, np.ndarray]
+    probabilities: dict[str, np.ndarray]
     seen: np.ndarray
     group_sizes: np.ndarray
-    effort: Effort | None
-    native: Native | None
-    method: str
-    config: Config
+    early_stopping: EarlyStopping | None
+    prior: Prior | None
+    estimator: Estimator
     stages: dict[str, dict[str, float]]
     seconds: float
     warnings: list[str]
+
+    @property
+    def method(self) -> str:
+        """Name of the method."""
+        return self.estimator.name
 
 
 def locate(
@@ -78,243 +90,214 @@ def locate(
     detector: Detector | Callable[[np.ndarray], Any] | Mapping[str, Any] | None,
     *,
     method: Method = "robust",
-    config: Config | None = None,
-    native: Native | bool = True,
-    progress: Progress = silent,
+    config: Estimator | None = None,
+    prior: Prior | bool = True,
+    monitor: Monitor | None = None,
 ) -> Result:
     """Find the tampered Gaussians of a scene.
 
     Args:
         gaussians: N Gaussians.
-        cameras: The views to look from, each of another name.
-        detector: A detector, a function image (H, W, 3) -> probability (any size), or
-            probabilities by camera name. With None, `robust` asks the Gaussians alone, and the
-            views only show what was found.
-        method: `robust` (asks what each mask is worth), `official` (the schedule of the released
-            code) or `paper` (the equations).
-        config: Replaces the method, e.g. a changed `METHODS["paper"]` or a `RobustConfig`.
-        native: Whether `robust` asks the Gaussians themselves, or what they said when they were.
-        progress: Called with (stage, done, total).
+        cameras: The views, each with another name.
+        detector: A 2D detector, a function from an image (H, W, 3) to a probability map of any
+            size, or probability maps by camera name. With None, `robust` uses the attributes of
+            the Gaussians alone, and the views only show the result.
+        method: `robust` (infers the reliability of every mask), `official` (the released code of
+            GS-Checker) or `paper` (its equations).
+        config: Replaces the default configuration of the method, e.g. a `RobustEstimator`.
+        prior: True to compute the evidence from the attributes for methods that use a prior, False
+            for none, or a prior.
+        monitor: Records time, memory and progress.
 
     Returns:
         The result; deterministic for one configuration.
 
     Raises:
         InputError: if the cameras see nothing of the scene, share a name, or have no mask.
-        ValueError: if the method is unknown, or there is nothing that it could go by.
+        ValueError: if the method is unknown, or has neither a detector nor a prior.
     """
-    if method not in CONFIGS:
-        raise ValueError(f"method must be one of {', '.join(CONFIGS)}, got {method!r}")
-    config, stages = config or CONFIGS[method], Stages()
-    warnings = [*check_views(gaussians, cameras, near=config.near), *_unusable(gaussians)]
+    estimator, monitor = configured(method, config), monitor or Monitor()
+    warnings = [*check_views(gaussians, cameras, near=estimator.near), *_unusable(gaussians)]
     _check_names(cameras)
     gaussians = jax.tree.map(jnp.asarray, gaussians)
-    detector = None if detector is None else as_detector(detector)
-    told = _asked(gaussians, native, config, stages, progress)
-    look = _look(gaussians, cameras, detector, told, config, stages, progress)
-    finding, config = look.finding, look.config
-    masks = _masks(gaussians, cameras, finding, config, stages, progress)
+    evidence = _prior(gaussians, estimator, prior, monitor)
+    if detector is None:
+        found = _from_attributes(estimator, evidence, monitor)
+    else:
+        found = _from_views(gaussians, cameras, as_detector(detector), estimator, evidence, monitor)
+    finding, estimator = found.finding, found.estimator
+    masks = _view_masks(gaussians, cameras, finding, estimator, monitor)
+    if not estimator.uses_prior:
+        warnings += _unconfirmed(found.flagged, masks)
     return Result(
         tamper=finding.tamper,
         labels=finding.labels,
         attribute=finding.attribute,
         verdict=finding.verdict,
-        reliability={
-            c.name: said for c, said in zip(look.cameras, finding.reliability, strict=False)
-        },
+        reliability=dict(zip(found.views, finding.reliability, strict=False)),
         masks=masks,
-        detections=look.detections,
-        seen=look.seen,
+        probabilities=found.probabilities,
+        seen=found.seen,
         group_sizes=finding.group_sizes,
-        effort=look.effort,
-        native=told if isinstance(config, RobustConfig) else None,
-        method=config.name,
-        config=config,
-        stages=stages.summary(),
-        seconds=stages.elapsed(),
-        warnings=[
-            *warnings,
-            *look.warnings,
-            *finding.warnings,
-            *([] if isinstance(config, RobustConfig) else _disagreement(look.flagged, masks)),
-            *getattr(detector, "warnings", ()),
-        ],
+        early_stopping=found.early_stopping,
+        prior=evidence if estimator.uses_prior else None,
+        estimator=estimator,
+        stages=monitor.summary(),
+        seconds=monitor.elapsed(),
+        warnings=[*warnings, *found.warnings, *finding.warnings],
     )
 
 
-def _asked(
-    gaussians: Gaussians,
-    native: Native | bool,
-    config: Config,
-    stages: Stages,
-    progress: Progress,
-) -> Native | None:
-    """What the Gaussians themselves say, where the method has a use for it."""
-    if not isinstance(native, Native | bool):
-        raise ValueError(
-            "native must be True, False or what native_evidence said, got "
-            f"{type(native).__name__}; `method.find` takes any prior"
-        )
-    if native is False or (isinstance(config, RobustConfig) and config.native == 0):
-        return None
-    if isinstance(native, Native):
-        if len(native.known) != len(gaussians):
+def _prior(
+    gaussians: Gaussians, estimator: Estimator, prior: Prior | bool, monitor: Monitor
+) -> Prior | None:
+    """The given prior, or the evidence from the attributes where the estimator uses one."""
+    if isinstance(prior, Prior):
+        if len(prior.known) != len(gaussians):
             raise ValueError(
-                f"native speaks of {len(native.known)} Gaussians, the scene has {len(gaussians)}"
+                f"the prior has {len(prior.known)} Gaussians, the scene {len(gaussians)}"
             )
-        return native
-    if not isinstance(config, RobustConfig):
+        return prior
+    if not isinstance(prior, bool):
+        raise ValueError(f"prior must be True, False or a Prior, got {type(prior).__name__}")
+    if not (prior and estimator.uses_prior):
         return None
-    progress("native", 0, 1)
-    with stages("native"):
-        told = native_evidence(gaussians)
-    progress("native", 1, 1)
-    return told
+    monitor.progress("attributes", 0, 1)
+    with monitor.stage("attributes"):
+        evidence = forensic_evidence(gaussians)
+    monitor.progress("attributes", 1, 1)
+    return evidence
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class _Looked:
-    """What was found, and from where; without the evidence, which is the largest thing there is."""
+class _Found:
+    """A finding and its origin, without the evidence, which is the largest object of a run."""
 
     finding: Finding
     seen: np.ndarray
-    config: Config
-    cameras: Sequence[Camera] = ()
+    estimator: Estimator
+    views: Sequence[str] = ()
     flagged: Mapping[str, np.ndarray] = dataclasses.field(default_factory=dict)
-    detections: dict[str, np.ndarray] = dataclasses.field(default_factory=dict)
-    effort: Effort | None = None
+    probabilities: dict[str, np.ndarray] = dataclasses.field(default_factory=dict)
+    early_stopping: EarlyStopping | None = None
     warnings: Sequence[str] = ()
-
-
-def _look(
-    gaussians: Gaussians,
-    cameras: Sequence[Camera],
-    detector: Detector | None,
-    native: Native | None,
-    config: Config,
-    stages: Stages,
-    progress: Progress,
-) -> _Looked:
-    """Find what masks and Gaussians agree on, or what the Gaussians say alone."""
-    if detector is not None:
-        chosen, warnings = _select(detector, cameras)
-        config = settled(config, len(chosen))
-        look = _from_views(gaussians, chosen, detector, native, config, stages, progress)
-        return dataclasses.replace(look, warnings=warnings)
-    if native is not None and isinstance(config, RobustConfig):
-        with stages("optimise"):
-            finding = find_native(native, config=config)
-        return _Looked(finding=finding, seen=native.known, config=config)
-    raise ValueError(
-        f"{config.name} has nothing to go by without a detector; give one, or let `robust` ask the "
-        "Gaussians themselves (native=True)"
-    )
 
 
 def _from_views(
     gaussians: Gaussians,
-    cameras: list[Camera],
+    cameras: Sequence[Camera],
     detector: Detector,
-    native: Native | None,
-    config: Config,
-    stages: Stages,
-    progress: Progress,
-) -> _Looked:
-    """Look from the cameras, as many as it takes, and find what is tampered."""
-    prior = None if native is None else native.prior
-    effort = None
-    # Masks that are there cost nothing; a network is asked for no more than it takes.
-    if isinstance(config, RobustConfig) and config.tolerance > 0 and detector.needs_image:
-        cameras, observation, finding, effort = observe_enough(
-            gaussians, cameras, detector, config, prior=prior, stages=stages, progress=progress
+    estimator: Estimator,
+    prior: Prior | None,
+    monitor: Monitor,
+) -> _Found:
+    """Observe the views and estimate, with all views or until the labels are stable."""
+    chosen = detector.select(cameras)
+    estimator, stop = estimator.resolved(len(chosen)), None
+    # Masks from files cost nothing; each view of a network takes seconds.
+    if estimator.stops_early and detector.needs_image:
+        observation, finding, stop = observe_until_stable(
+            gaussians, chosen, detector, estimator, prior=prior, monitor=monitor
         )
     else:
-        observation = observe(
-            gaussians, cameras, detector, near=config.near, stages=stages, progress=progress
-        )
-        with stages("optimise"):
-            finding = find(gaussians, cameras, observation, config, prior)
-    return _Looked(
+        observation = observe(gaussians, chosen, detector, near=estimator.near, monitor=monitor)
+        with monitor.stage("optimise"):
+            finding = estimator.estimate(observation, prior)
+    return _Found(
         finding=finding,
         seen=observation.evidence.seen,
-        config=config,
-        cameras=cameras,
+        estimator=estimator,
+        views=[camera.name for camera in observation.cameras],
         flagged=observation.masks,
-        detections=observation.detections,
-        effort=effort,
+        probabilities=observation.probabilities,
+        early_stopping=stop,
+        warnings=[*_without_mask(cameras, chosen), *getattr(detector, "warnings", ())],
     )
 
 
-def _masks(
+def _from_attributes(estimator: Estimator, prior: Prior | None, monitor: Monitor) -> _Found:
+    """Estimate from the attributes of the Gaussians alone."""
+    if not (estimator.uses_prior and isinstance(prior, ForensicEvidence)):
+        raise ValueError(
+            f"{estimator.name} needs a detector; give one, or use method robust with prior=True to "
+            "decide by the attributes of the Gaussians"
+        )
+    with monitor.stage("optimise"):
+        finding = estimate_from_attributes(prior, threshold=estimator.threshold)
+    return _Found(finding=finding, seen=prior.known, estimator=estimator)
+
+
+def _view_masks(
     gaussians: Gaussians,
     cameras: Sequence[Camera],
     finding: Finding,
-    config: Config,
-    stages: Stages,
-    progress: Progress,
+    estimator: Estimator,
+    monitor: Monitor,
 ) -> dict[str, np.ndarray]:
-    """The tampered pixels of every view, by camera name."""
+    """Tampered pixels of every view by camera name."""
+    rule, threshold, near = estimator.mask_rule, estimator.threshold, estimator.near
 
     def mask_of(camera: Camera) -> np.ndarray:
-        with stages("masks"):
+        with monitor.stage("masks"):
             return view_mask(
                 gaussians,
                 camera,
                 finding.tamper,
                 finding.labels,
-                rule=config.mask_rule,
-                threshold=config.threshold,
-                near=config.near,
+                rule=rule,
+                threshold=threshold,
+                near=near,
             )
 
     masks = {}
     with ThreadPoolExecutor(WORKERS) as pool:
-        for camera, mask in zip(cameras, ahead(pool, mask_of, cameras), strict=True):
+        for camera, mask in zip(cameras, bounded_map(pool, mask_of, cameras), strict=True):
             masks[camera.name] = mask
-            progress("masks", len(masks), len(cameras))
+            monitor.progress("masks", len(masks), len(cameras))
     return masks
 
 
-def _disagreement(flagged: Mapping[str, np.ndarray], masks: Mapping[str, np.ndarray]) -> list[str]:
-    """A warning where next to nothing of what the detector flagged was confirmed."""
-    said = np.mean([mask.mean() for mask in flagged.values()])
-    found = np.mean([masks[name].mean() for name in flagged])
-    if not 0 < found < DISAGREEMENT * said:
+def _unconfirmed(flagged: Mapping[str, np.ndarray], masks: Mapping[str, np.ndarray]) -> list[str]:
+    """Warn if the final masks cover next to nothing of what the detector flagged."""
+    by_detector = np.mean([mask.mean() for mask in flagged.values()])
+    final = np.mean([masks[name].mean() for name in flagged])
+    if not 0 < final < MIN_CONFIRMED * by_detector:
         return []
     return [
-        f"The detector flags {said:.1%} of what the views show, of which {found:.2%} was "
-        "confirmed: its masks disagree. A smaller lambda2, or the method robust, asks for less."
+        f"The detector flags {by_detector:.1%} of all pixels, of which {final:.2%} are confirmed: "
+        "its masks disagree. A smaller lambda2, or the method robust, tolerates more disagreement."
     ]
 
 
 def _unusable(gaussians: Gaussians) -> list[str]:
-    """A warning that counts the rows with values that mean nothing."""
+    """Warn about rows that cannot be rendered, counted by reason."""
     reasons = {name: rows for name, rows in invalid_rows(gaussians).items() if rows.any()}
     if not reasons:
         return []
     count = int(np.any(list(reasons.values()), axis=0).sum())
     counted = ", ".join(f"{int(rows.sum())} {name}" for name, rows in reasons.items())
     return [
-        f"{count:,} of {len(gaussians):,} Gaussians have values that mean nothing ({counted}); "
-        "`load_ply` would have left them out."
+        f"{count:,} of {len(gaussians):,} Gaussians have invalid values ({counted}) and are "
+        "ignored; `load_ply` leaves them out."
     ]
 
 
 def _check_names(cameras: Sequence[Camera]) -> None:
     names = [camera.name for camera in cameras]
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
-        raise InputError(f"Two cameras are called {twice[0]!r}; masks are kept by camera name.")
+    duplicates = sorted({name for name in names if names.count(name) > 1})
+    if duplicates:
+        raise InputError(
+            f"Two cameras have the name {duplicates[0]!r}; masks are stored by camera name."
+        )
 
 
-def _select(detector: Detector, cameras: Sequence[Camera]) -> tuple[list[Camera], list[str]]:
-    """The cameras that the detector can judge, and a warning where that is not all."""
-    chosen = detector.select(cameras)
-    if len(chosen) == len(cameras):
-        return chosen, []
-    judged = {camera.name for camera in chosen}
-    without = next(camera.name for camera in cameras if camera.name not in judged)
-    return chosen, [
-        f"{len(cameras) - len(chosen)} of {len(cameras)} cameras have no mask and were not used to "
-        f"find anything (the first is {without!r})."
+def _without_mask(cameras: Sequence[Camera], chosen: Sequence[Camera]) -> list[str]:
+    """Warn about cameras for which the detector has no output."""
+    names = {camera.name for camera in chosen}
+    missing = [camera.name for camera in cameras if camera.name not in names]
+    if not missing:
+        return []
+    return [
+        f"{len(missing)} of {len(cameras)} cameras have no mask and were not used (the first is "
+        f"{missing[0]!r})."
     ]

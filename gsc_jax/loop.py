@@ -1,9 +1,8 @@
-"""The cyclic optimisation: Adam on the attribute, with the 2D loss first, then with both.
+"""The cyclic optimisation: Adam on the attribute, first with the 2D loss, then with both losses.
 
-One `step` serves both paths. On the rendered path the 2D loss of a view is `loss_2d` of the
-composited attribute, and its gradient comes through `composite`; this is the definition. On the
-evidence path it is the same linear function with the view's evidence for coefficients; this is what
-is used, and `tests/test_loop.py` holds both to the same trajectory.
+One `step` serves two paths. `fit_rendered` follows the definition: it renders the attribute and
+differentiates `loss_2d` through `composite`. `fit` is faster: it evaluates the same linear function
+from the evidence of the views. `tests/test_loop.py` asserts that both take the same trajectory.
 """
 
 import dataclasses
@@ -20,26 +19,23 @@ from gsc_jax.evidence.lifting import Evidence
 from gsc_jax.losses import loss_2d, loss_2d_from_evidence, loss_3d, partition
 from gsc_jax.render.tiles import View
 from gsc_jax.scene import Array
+from gsc_jax.scene.pytree import STATIC
 from gsc_jax.splat import composite
 
 
-@functools.partial(
-    jax.tree_util.register_dataclass,
-    data_fields=["lambda1", "lambda2", "beta", "gamma", "contrastive_start", "learning_rate"],
-    meta_fields=["per_feature"],
-)
+@jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class LoopConfig:
-    """Weights and schedule; all but `per_feature` may be traced, so `fit` can be vmapped over them.
+    """Weights and schedule; all but `per_feature` may be traced, so that `fit` can be vmapped.
 
     Attributes:
-        lambda1: Reward for attribute inside the masks (eq. 10).
-        lambda2: Price of attribute outside the masks (eq. 10).
-        beta: Weight of the 2D loss (eq. 11).
-        gamma: Weight of the 3D loss (eq. 11).
-        contrastive_start: Iteration, counted from 0, at which the 3D loss joins; None: half-way.
-        learning_rate: Of Adam.
-        per_feature: The released code's sign per attribute instead of one per Gaussian.
+        lambda1: Weight of the attribute inside the masks (GS-Checker, eq. 10).
+        lambda2: Weight of the attribute outside the masks (GS-Checker, eq. 10).
+        beta: Weight of the 2D loss (GS-Checker, eq. 11).
+        gamma: Weight of the 3D loss (GS-Checker, eq. 11).
+        contrastive_start: First iteration, counted from 0, with the 3D loss; None: half of them.
+        learning_rate: Learning rate of Adam.
+        per_feature: Average one sign per attribute in eq. 8, as the released code does.
     """
 
     lambda1: float = 1.0
@@ -48,11 +44,11 @@ class LoopConfig:
     gamma: float = 10.0
     contrastive_start: int | None = None
     learning_rate: float = 1.0
-    per_feature: bool = False
+    per_feature: bool = dataclasses.field(default=False, metadata=STATIC)
 
 
 class State(NamedTuple):
-    """The attribute and the optimiser, between two steps."""
+    """Attribute, optimiser and number of iterations between two steps."""
 
     r: jax.Array
     optimizer: optax.OptState
@@ -60,7 +56,7 @@ class State(NamedTuple):
 
 
 class StepInfo(NamedTuple):
-    """What a step saw: the losses before it, and the sizes of G_h, G_m and G_l."""
+    """Losses before a step, and the sizes of G_h, G_m and G_l."""
 
     loss_2d: jax.Array
     loss_3d: jax.Array
@@ -68,14 +64,7 @@ class StepInfo(NamedTuple):
 
 
 def init(r: Array) -> State:
-    """The state before the first step.
-
-    Args:
-        r: Initial attribute, shape (N,).
-
-    Returns:
-        A state for `step`.
-    """
+    """Create the state before the first step from an initial attribute, shape (N,)."""
     r = jnp.asarray(r, jnp.float32)
     return State(r, adam(1.0).init(r), jnp.int32(0))
 
@@ -87,144 +76,137 @@ def step(
     *,
     config: LoopConfig,
 ) -> tuple[State, StepInfo]:
-    """One iteration: one view, one update of the attribute (eq. 11).
+    """Update the attribute once, with the loss of one view (GS-Checker, eq. 11).
 
     Args:
-        state: The state before.
-        view_loss: The 2D loss of a view as a function of the attribute, (N,) to scalar.
-        attributes: What the 3D loss compares, shape (A, N).
-        config: Weights and schedule.
-
-    Returns:
-        The state after, and what the step saw.
+        state: State before the step.
+        view_loss: 2D loss of the view as a function of the attribute, (N,) to scalar.
+        attributes: Attributes F of the 3D loss, shape (A, N).
+        config: Weights and schedule; `contrastive_start` must be an iteration.
     """
-    gamma = _gamma(config)(state.iteration)
+    if config.contrastive_start is None:
+        raise ValueError("contrastive_start must be an iteration; `fit` replaces None by half-way")
+    gamma = jnp.where(state.iteration < config.contrastive_start, 0.0, config.gamma)
     groups = jax.lax.stop_gradient(partition(state.r))
 
-    def loss(r):
-        flat = view_loss(r)
-        compare = functools.partial(loss_3d, per_feature=config.per_feature)
-        nothing = lambda r, *_: 0.0 * r[0]  # noqa: E731
-        contrast = jax.lax.cond(gamma != 0, compare, nothing, r, attributes, groups)
-        return config.beta * flat + gamma * contrast, (flat, contrast)
+    def contrast(r):
+        return loss_3d(r, attributes, groups, per_feature=config.per_feature)
 
-    gradient, losses = jax.grad(loss, has_aux=True)(state.r)
-    # Adam's bias correction raises a float to an integer power; strict callers need not care.
+    def loss_cyc(r):
+        l_2d = view_loss(r)
+        l_3d = jax.lax.cond(gamma != 0, contrast, lambda r: 0.0 * r[0], r)
+        return config.beta * l_2d + gamma * l_3d, (l_2d, l_3d)
+
+    gradient, (l_2d, l_3d) = jax.grad(loss_cyc, has_aux=True)(state.r)
+    # Adam's bias correction raises a float to an integer power, which strict promotion refuses.
     with jax.numpy_dtype_promotion("standard"):
         updates, optimizer = adam(config.learning_rate).update(gradient, state.optimizer)
     r = jnp.asarray(optax.apply_updates(state.r, updates))
     sizes = jnp.stack([jnp.sum(g) for g in (groups.high, groups.middle, groups.low)])
-    info = StepInfo(loss_2d=losses[0], loss_3d=losses[1], group_sizes=sizes)
+    info = StepInfo(loss_2d=l_2d, loss_3d=l_3d, group_sizes=sizes)
     return State(r, optimizer, state.iteration + 1), info
 
 
-def _gamma(config: LoopConfig) -> optax.Schedule:
-    """The weight of the 3D loss by iteration: nothing in the first phase, gamma in the second."""
-    if config.contrastive_start is None:
-        raise ValueError("contrastive_start must be an iteration; `fit` puts half-way for None")
-    phases = [optax.constant_schedule(0.0), optax.constant_schedule(config.gamma)]
-    return optax.join_schedules(phases, [config.contrastive_start])
-
-
 def resolved(config: LoopConfig, iterations: int) -> LoopConfig:
-    """The configuration with the iteration of the switch filled in: half-way where it is None."""
+    """Replace a `contrastive_start` of None by half of the iterations."""
     if config.contrastive_start is not None:
         return config
     return dataclasses.replace(config, contrastive_start=iterations // 2)
 
 
 def adam(learning_rate: float) -> optax.GradientTransformation:
-    """Adam with the settings of the released code, which SA3D shares."""
-    # The released code's epsilon: so small that every Gaussian moves at the full rate, however
-    # little of it a view sees.
+    """Adam with the epsilon of the released code, which SA3D shares.
+
+    The epsilon is so small that every Gaussian moves at the full rate, whatever its visible weight.
+    """
     return optax.adam(learning_rate, eps=1e-15)
 
 
 def fit(
     evidence: Evidence, r: Array, attributes: Array, order: Array, *, config: LoopConfig
 ) -> tuple[jax.Array, StepInfo]:
-    """Optimise on the evidence path: no rendering.
+    """Optimise the attribute on evidence, without rendering.
 
     Args:
-        evidence: Of V views, shapes (V, N); the host may hold it, a view at a time is copied.
+        evidence: Evidence of V views, shapes (V, N); may be on the host or on disk, since one view
+            at a time is copied.
         r: Initial attribute, shape (N,).
-        attributes: What the 3D loss compares, shape (A, N).
+        attributes: Attributes F of the 3D loss, shape (A, N).
         order: View of each iteration, shape (iterations,), int32.
         config: Weights and schedule.
 
     Returns:
-        The attribute, shape (N,), and the infos of all the iterations.
+        The attribute, shape (N,), and the info of all iterations.
     """
+    config, attributes = resolved(config, len(order)), jnp.asarray(attributes)
 
-    def look(index: int) -> tuple[Evidence]:
-        return (jax.tree.map(lambda leaf: leaf[index], evidence),)
+    def one_step(state: State, index: int) -> tuple[State, StepInfo]:
+        view = jax.tree.map(lambda leaf: leaf[index], evidence)
+        return _evidence_step(state, view, attributes, config)
 
-    return _iterate(_evidence_step, look, r, attributes, order, config)
+    return _iterate(one_step, r, order)
 
 
 def fit_rendered(
-    look: Callable[[int], tuple[View, Array]],
+    view_of: Callable[[int], tuple[View, Array]],
     r: Array,
     attributes: Array,
     order: Array,
     *,
     config: LoopConfig,
 ) -> tuple[jax.Array, StepInfo]:
-    """Optimise on the rendered path: render the attribute and differentiate, every iteration.
+    """Optimise as `fit` does, by rendering and differentiating the attribute in every iteration.
 
-    Args:
-        look: The view and the mask (H, W) of a number from `order`; called every iteration, so
-            that only one view is held at a time.
-        r: Initial attribute, shape (N,).
-        attributes: What the 3D loss compares, shape (A, N).
-        order: View of each iteration, shape (iterations,), int32.
-        config: Weights and schedule.
-
-    Returns:
-        As `fit`.
+    `view_of` maps the index of a view to the view and its mask (H, W). It is called in every
+    iteration, so that only one view is in memory.
     """
-    return _iterate(_rendered_step, look, r, attributes, order, config)
+    config, attributes = resolved(config, len(order)), jnp.asarray(attributes)
+
+    def one_step(state: State, index: int) -> tuple[State, StepInfo]:
+        return _rendered_step(state, *view_of(index), attributes, config)
+
+    return _iterate(one_step, r, order)
 
 
-def _iterate(one_step, look, r, attributes, order, config) -> tuple[jax.Array, StepInfo]:
-    """`one_step` with what `look` shows, for every view of the order."""
-    config = resolved(config, len(order))
-    state, infos, attributes = init(r), [], jnp.asarray(attributes)
-    for index in np.asarray(order):
-        state, info = one_step(state, *look(int(index)), attributes, config)
+def _iterate(
+    one_step: Callable[[State, int], tuple[State, StepInfo]], r: Array, order: Array
+) -> tuple[jax.Array, StepInfo]:
+    state, infos = init(r), []
+    for index in np.asarray(order).tolist():
+        state, info = one_step(state, index)
         infos.append(info)
     return state.r, jax.tree.map(lambda *leaves: jnp.stack(leaves), *infos)
 
 
 @jax.jit
 def _evidence_step(state: State, evidence: Evidence, attributes: Array, config: LoopConfig):
-    def view_loss(r):
-        weights = {"lambda1": config.lambda1, "lambda2": config.lambda2}
-        return loss_2d_from_evidence(r, evidence, **weights)
-
+    weights = {"lambda1": config.lambda1, "lambda2": config.lambda2}
+    view_loss = functools.partial(loss_2d_from_evidence, evidence=evidence, **weights)
     return step(state, view_loss, attributes, config=config)
 
 
 @jax.jit
 def _rendered_step(state: State, view: View, mask: Array, attributes: Array, config: LoopConfig):
     def view_loss(r):
-        rendered = composite(view, r[:, None])[..., 0]
+        rendered = render_attribute(view, r)
         return loss_2d(rendered, mask, lambda1=config.lambda1, lambda2=config.lambda2)
 
     return step(state, view_loss, attributes, config=config)
 
 
+def render_attribute(view: View, r: jax.Array) -> jax.Array:
+    """Render an attribute r, shape (N,), to M^R, shape (H, W) (GS-Checker, eq. 9)."""
+    return composite(view, r[:, None])[..., 0]
+
+
 def view_order(views: int, *, epochs: int, shuffle: bool = False, seed: int = 0) -> np.ndarray:
-    """Which view each iteration looks at.
+    """Choose the view of each iteration, shape (epochs * views,), int32.
 
     Args:
         views: Number of views.
-        epochs: How often each is looked at.
+        epochs: Number of iterations per view.
         shuffle: Draw a new order for each epoch instead of the fixed one.
-        seed: Of the orders.
-
-    Returns:
-        Indices of views, shape (epochs * views,), int32.
+        seed: Seed of the orders.
     """
     rng = np.random.default_rng(seed)
     rounds = [rng.permutation(views) if shuffle else np.arange(views) for _ in range(epochs)]

@@ -1,11 +1,8 @@
-"""The losses of GS-Checker: the 2D rendering loss, the 3D contrastive loss, and what they compare.
+"""The losses of GS-Checker: 2D rendering loss, 3D contrastive loss, and the attributes F.
 
-Equation numbers are those of the paper. Where its text leaves a definition open (G_h, G_m, G_l, the
-attributes F), the released code's definition is used for both. A mean over an empty group does not
-exist; the 3D loss is then 0 with zero gradient, where the released code puts NaN into r and Adam.
-
-Attributes F have a row each, (A, N), because XLA on a CPU sums long rows many times faster than
-short columns.
+The released code defines what the paper leaves open (G_h, G_m, G_l). The 3D loss is 0 with zero
+gradient where a group is empty; in the released code, the mean over an empty group makes r NaN.
+Attributes F have shape (A, N), because XLA on a CPU sums long rows much faster than short columns.
 """
 
 import functools
@@ -19,17 +16,21 @@ from gsc_jax.render.spherical_harmonics import Y0
 from gsc_jax.scene import Array, Gaussians, pytree
 from gsc_jax.scene.statistics import median_and_mad
 
+MAX_ABS_LOGIT = 20.0
+"""Bound of logit opacities (float32 sigmoid saturates beyond 17), and of log scales from below
+(exp(-20) is 0 for any scene): files may contain infinite values."""
+
 
 def loss_2d(
     rendered: Array, mask: Array, *, lambda1: float = 1.0, lambda2: float = 10.0
 ) -> jax.Array:
-    """The 2D rendering loss L_2d of a view (eq. 10).
+    """Compute the 2D rendering loss L_2d of a view (GS-Checker, eq. 10).
 
     Args:
         rendered: Rendered attribute M^R, shape (H, W).
-        mask: Tampered pixels M, in [0, 1], shape (H, W).
-        lambda1: Reward for attribute inside the mask.
-        lambda2: Price of attribute outside the mask.
+        mask: Mask M, in [0, 1], shape (H, W).
+        lambda1: Weight of the attribute inside the mask.
+        lambda2: Weight of the attribute outside the mask.
 
     Returns:
         The loss summed over the pixels, scalar; unbounded below.
@@ -41,16 +42,9 @@ def loss_2d(
 def loss_2d_from_evidence(
     r: Array, evidence: Evidence, *, lambda1: float = 1.0, lambda2: float = 10.0
 ) -> jax.Array:
-    """The same loss without rendering: linear in r, with the evidence for coefficients.
+    """Compute `loss_2d` of an attribute r, shape (N,), from the evidence of a view, shapes (N,).
 
-    Args:
-        r: Attribute, shape (N,).
-        evidence: What one view says, shapes (N,).
-        lambda1: As in `loss_2d`.
-        lambda2: As in `loss_2d`.
-
-    Returns:
-        The loss of that view, scalar.
+    The loss is linear in r, and the evidence gives its coefficients, so nothing is rendered.
     """
     authentic = evidence.total - evidence.tampered
     return jnp.vdot(lambda2 * authentic - lambda1 * evidence.tampered, r)
@@ -58,7 +52,7 @@ def loss_2d_from_evidence(
 
 @pytree
 class Partition:
-    """The groups G_h, G_m and G_l that the contrast is between, boolean, shapes (N,)."""
+    """The groups G_h, G_m and G_l of the contrastive loss, boolean, shapes (N,)."""
 
     high: Array
     middle: Array
@@ -66,14 +60,11 @@ class Partition:
 
 
 def partition(r: Array) -> Partition:
-    """Split Gaussians by their attribute, as the released code does.
-
-    Args:
-        r: Attribute, shape (N,).
+    """Group Gaussians by their attribute r, shape (N,), with the thresholds of the released code.
 
     Returns:
         High: r > 0 and r >= 0.9 max r. Middle: 0 < r <= 0.1 max r. Low: r <= 0 and r <= 0.9 min r.
-        What lies between 0.1 and 0.9 of the maximum is in no group; any group may be empty.
+        The other Gaussians are in no group; a group may be empty.
     """
     largest, smallest = jnp.max(r), jnp.min(r)
     return Partition(
@@ -83,27 +74,42 @@ def partition(r: Array) -> Partition:
     )
 
 
-def direction(attributes: Array, groups: Partition, *, per_feature: bool = False) -> jax.Array:
-    """The update direction u_i (eq. 7 and 8): towards the group whose mean is nearer.
+def sim(attributes: Array, mean: Array) -> jax.Array:
+    """Compute sim_i = ||F_i - mean||^2 (GS-Checker, eq. 7), which is small for similar attributes.
 
-    The difference of squares sim_l - sim_h, with sim = (F - mean)^2, is taken as
-    2 (F - (mean_h + mean_l) / 2) (mean_h - mean_l), which does not square large attributes.
+    The attributes F have shape (A, N), the mean over a group, F^h or F^l, has shape (A,).
+    """
+    return jnp.sum(jnp.square(attributes - mean[:, None]), axis=0)
+
+
+def sim_difference(attributes: Array, mean_h: Array, mean_l: Array) -> list[jax.Array]:
+    """Compute the terms of sim^l - sim^h (GS-Checker, eq. 8), one per attribute, shapes (N,).
+
+    (F - l)^2 - (F - h)^2 is factored into 2 (F - (h + l) / 2) (h - l), which does not square large
+    attributes; a test compares the sum of the terms with `sim`.
+    """
+    centers, gaps = 0.5 * (mean_h + mean_l), mean_h - mean_l
+    return [2.0 * (F - c) * gap for F, c, gap in zip(attributes, centers, gaps, strict=True)]
+
+
+def direction(attributes: Array, groups: Partition, *, per_feature: bool = False) -> jax.Array:
+    """Compute u_i = sign(sim^l_i - sim^h_i) (GS-Checker, eq. 8): 1 where G_h is more similar.
 
     Args:
-        attributes: What is compared, F, shape (A, N).
-        groups: The partition of the N Gaussians.
-        per_feature: The released code's variant: a sign per attribute, averaged over them.
+        attributes: Attributes F, shape (A, N).
+        groups: Groups of the N Gaussians.
+        per_feature: Average one sign per attribute, as the released code does.
 
     Returns:
-        u in [-1, 1], shape (N,); 0 outside the middle group, or where a group is empty.
+        u in [-1, 1], shape (N,); 0 outside G_m, or where a group is empty.
     """
     mean_h, mean_l = (_masked_mean(attributes, group) for group in (groups.high, groups.low))
-    centers, gaps = 0.5 * (mean_h + mean_l), mean_h - mean_l
-    nearer_h = [2.0 * (F - c) * gap for F, c, gap in zip(attributes, centers, gaps, strict=True)]
+    terms = sim_difference(attributes, mean_h, mean_l)
+    # Adding term by term is fused by XLA; its sum over so short an axis is slow on a CPU.
     if per_feature:
-        u = _total([jnp.sign(nearer) for nearer in nearer_h]) / len(nearer_h)
+        u = functools.reduce(jnp.add, [jnp.sign(term) for term in terms]) / len(terms)
     else:
-        u = jnp.sign(_total(nearer_h))
+        u = jnp.sign(functools.reduce(jnp.add, terms))
     comparable = jnp.any(groups.high) & jnp.any(groups.low)
     return jnp.where(groups.middle & comparable, u, 0.0)
 
@@ -111,84 +117,57 @@ def direction(attributes: Array, groups: Partition, *, per_feature: bool = False
 def loss_3d(
     r: Array, attributes: Array, groups: Partition, *, per_feature: bool = False
 ) -> jax.Array:
-    """The 3D contrastive loss L_3d (eq. 12), with the direction held constant.
-
-    Args:
-        r: Attribute, shape (N,).
-        attributes: What is compared, F, shape (A, N).
-        groups: The partition of the N Gaussians.
-        per_feature: The released code's variant of the direction.
+    """Compute the 3D contrastive loss L_3d (GS-Checker, eq. 12) of an attribute r, shape (N,).
 
     Returns:
-        -mean of u_i r_i over the middle group, scalar; 0 where a group is empty.
+        -mean of u_i r_i over G_m, scalar, with u from `direction` held constant; 0 where a group is
+        empty.
     """
     u = jax.lax.stop_gradient(direction(attributes, groups, per_feature=per_feature))
     return -jnp.vdot(u, r) / jnp.maximum(jnp.sum(groups.middle, dtype=r.dtype), 1.0)
 
 
 def _masked_mean(values: Array, mask: Array) -> jax.Array:
-    """Mean of the masked columns, shape (A,); 0 when there is none."""
+    """Mean of the masked columns, shape (A,); 0 for an empty mask."""
     weights = jnp.asarray(mask, values.dtype)
     return jnp.matmul(values, weights, precision="highest") / jnp.maximum(jnp.sum(weights), 1.0)
 
 
-def _total(rows: list[jax.Array]) -> jax.Array:
-    # Term by term: XLA on a CPU fuses this; its own sum over so short an axis is not vectorised.
-    return functools.reduce(jnp.add, rows)
-
-
 def paper_attributes(gaussians: Gaussians) -> jax.Array:
-    """The attributes F of the paper, in raw units: mu, opacity, scale, rotation and all of the SH.
+    """Attributes F of the paper, shape (11 + 3 K, N): position, SH, opacity, scale, rotation.
 
-    Args:
-        gaussians: N Gaussians.
-
-    Returns:
-        Shape (11 + 3 K, N), 0 where not finite; the attribute with the largest unit decides.
+    In raw units: the attribute with the largest unit dominates. 0 where not finite.
     """
-    return _stack(gaussians, jnp.reshape(gaussians.sh, (len(gaussians), -1)))
+    return _raw_attributes(gaussians, jnp.reshape(gaussians.sh, (len(gaussians), -1)))
 
 
 def official_attributes(gaussians: Gaussians) -> jax.Array:
-    """The attributes F of the released code: as in the paper, but of the SH only the DC colour.
-
-    Args:
-        gaussians: N Gaussians.
-
-    Returns:
-        Shape (14, N), 0 where not finite.
-    """
-    return _stack(gaussians, jnp.asarray(gaussians.sh)[:, 0])
+    """Attributes F of the released code, shape (14, N): of the SH only the DC term."""
+    return _raw_attributes(gaussians, jnp.asarray(gaussians.sh)[:, 0])
 
 
-def _stack(gaussians: Gaussians, color: jax.Array) -> jax.Array:
+def _raw_attributes(gaussians: Gaussians, color: jax.Array) -> jax.Array:
     opacities = gaussians.opacities[:, None]
-    parts = [gaussians.means, color, opacities, gaussians.scales, gaussians.rotations]
-    attributes = jnp.concatenate(parts, axis=1).T
-    # Most such rows are seen by no view, but 0 times NaN in the mean of a group would not be 0.
+    columns = [gaussians.means, color, opacities, gaussians.scales, gaussians.rotations]
+    attributes = jnp.concatenate(columns, axis=1).T
+    # Rows with such values are mostly invisible, but 0 * NaN would spoil the mean of a group.
     return jnp.where(jnp.isfinite(attributes), attributes, 0.0)
 
 
 def standardised_attributes(gaussians: Gaussians) -> np.ndarray:
-    """Attributes that can share a norm: stored (unbounded) units, each by its median and MAD.
+    """Attributes F standardised by median and MAD, shape (14, N); not in the paper.
 
-    Beyond the paper. Log scales and logit opacities (clipped to +-20), the colour, and the rotation
-    with the sign that makes w positive, since q and -q are one rotation.
-
-    Args:
-        gaussians: N Gaussians.
-
-    Returns:
-        Shape (14, N); 0 where it is not finite, and in an attribute that does not vary.
+    Position, DC colour, logit opacity, log scale, and the quaternion with w >= 0, since q and -q
+    are one rotation. 0 where not finite, and in attributes that do not vary.
     """
     host = jax.tree.map(np.asarray, gaussians)
     rotations = np.asarray(gaussians.rotations)
     rotations = np.where(rotations[:, :1] < 0, -rotations, rotations)
-    logits = np.clip(host.logit_opacities, -20.0, 20.0)[:, None]
-    log_scales = np.maximum(host.log_scales, -20.0)
+    logits = np.clip(host.logit_opacities, -MAX_ABS_LOGIT, MAX_ABS_LOGIT)[:, None]
+    log_scales = np.maximum(host.log_scales, -MAX_ABS_LOGIT)
     color = 0.5 + Y0 * host.sh[:, 0]
     raw = np.concatenate([host.means, color, logits, log_scales, rotations], axis=1).T
-    # On the host: a median is a sort in XLA, ten times slower.
+    # In NumPy, because a median is a sort, which is ten times slower in XLA on a CPU.
     usable = raw[:, np.isfinite(raw).all(axis=0)]
     center, spread = median_and_mad(usable, axis=1)
     scaled = (raw - center) / np.where(spread > 0, spread, 1.0)

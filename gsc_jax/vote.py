@@ -1,10 +1,9 @@
-"""Masks to votes to the initial attribute (GS-Checker, section "Obtaining 3D tampering attribute").
+"""From masks to votes to the initial attribute (GS-Checker, eq. 5 and 6).
 
-Each view votes on each Gaussian by the pixel its centre falls into: 1 in the tampered region, 0 in
-the authentic one, -1 (an abstention) outside the image or behind the camera. The paper knows no
-occlusion here, and neither do these functions. The paper says both that abstentions do not count
-and that a majority must exceed them; the released code lets them compete. Both readings are here,
-as pure functions of the tally.
+A view votes on a Gaussian by the pixel of its projected centre: 1 in the tampered region, 0 in the
+authentic region, -1 (abstention) outside the image or behind the camera; occlusion is ignored. The
+paper states both that abstentions do not count and that a majority must exceed them; in the
+released code they compete. `paper_consensus` and `official_consensus` are the two readings.
 """
 
 import jax
@@ -17,7 +16,7 @@ TAMPERED, AUTHENTIC, ABSTAIN = 1, 0, -1
 
 @pytree
 class Tally:
-    """How many views voted what on each of N Gaussians, shapes (N,), int32."""
+    """Number of views with each vote on each of N Gaussians, shapes (N,) int32."""
 
     tampered: Array
     authentic: Array
@@ -30,15 +29,15 @@ class Tally:
 
 @jax.jit
 def cast_votes(centers: Array, depths: Array, mask: Array) -> jax.Array:
-    """The votes V_ij of one view (GS-Checker, eq. 5).
+    """Compute the votes V_ij of one view j (GS-Checker, eq. 5).
 
     Args:
-        centers: Projected centres in pixels, the first pixel spanning 0 to 1, shape (N, 2).
-        depths: Depths of the centres, shape (N,); not positive means behind the camera.
+        centers: Projected centres in pixels, shape (N, 2); the first pixel spans 0 to 1.
+        depths: Depths of the centres, shape (N,); not positive behind the camera.
         mask: Tampered pixels, boolean, shape (H, W).
 
     Returns:
-        1, 0 or -1 per Gaussian, shape (N,), int32. A centre that is not finite abstains.
+        1, 0 or -1 per Gaussian, shape (N,) int32; -1 where the centre is not finite.
     """
     height, width = mask.shape
     size = jnp.array([[width, height]], centers.dtype)
@@ -48,14 +47,7 @@ def cast_votes(centers: Array, depths: Array, mask: Array) -> jax.Array:
 
 
 def tally(votes: Array) -> Tally:
-    """Count the votes of some views.
-
-    Args:
-        votes: 1, 0 or -1, shape (V, N).
-
-    Returns:
-        The counts per Gaussian; they add up to V.
-    """
+    """Count votes, shape (V, N): `tampered` is the total T_i (GS-Checker, eq. 6)."""
     votes = jnp.asarray(votes)
     return Tally(
         tampered=jnp.sum(votes == TAMPERED, axis=0, dtype=jnp.int32),
@@ -65,31 +57,25 @@ def tally(votes: Array) -> Tally:
 
 
 def no_votes(count: int) -> Tally:
-    """The tally of no view on N Gaussians."""
+    """The tally of zero views on N Gaussians, to which others can be added."""
     return tally(jnp.zeros((0, count), jnp.int32))
 
 
 def paper_consensus(counts: Tally) -> jax.Array:
-    """Initial attribute of the paper: T_i where more views say tampered than authentic, else 0.
-
-    Args:
-        counts: The votes on N Gaussians. Abstentions are not counted (eq. 6); no vote at all is 0.
+    """Compute the initial attribute of the paper from the total T_i (GS-Checker, eq. 6).
 
     Returns:
-        Initial attribute r, shape (N,), float32.
+        T_i where more views vote tampered than authentic, else 0; shape (N,) float32.
     """
     majority = counts.tampered > counts.authentic
     return jnp.where(majority, counts.tampered, 0).astype(jnp.float32)
 
 
 def official_consensus(counts: Tally) -> jax.Array:
-    """Initial attribute of the released code: the mode over all views, abstentions competing.
-
-    Args:
-        counts: The votes on N Gaussians.
+    """Compute the initial attribute of the released code, in which abstentions compete.
 
     Returns:
-        Number of tampered votes where they are the strict mode, else 0, shape (N,), float32.
+        T_i where "tampered" is the strict mode of the votes, else 0; shape (N,) float32.
     """
-    rivals = jnp.maximum(counts.authentic, counts.abstained)
-    return jnp.where(counts.tampered > rivals, counts.tampered, 0).astype(jnp.float32)
+    others = jnp.maximum(counts.authentic, counts.abstained)
+    return jnp.where(counts.tampered > others, counts.tampered, 0).astype(jnp.float32)

@@ -1,8 +1,7 @@
-"""A real headless browser for the pages that people see: Debian's Chromium, driven by Selenium.
+"""A headless browser for tests of pages: Debian's Chromium, driven by Selenium.
 
-Tests ask for the fixture `browser`, which is skipped where there is none; files that import this
-module are skipped where Selenium is not installed. Of each page it is known what the console
-complained of and what was asked of the network.
+Tests request the fixture `browser`, which skips them if Chromium is missing; files that import this
+module are skipped if Selenium is missing. The browser records console errors and requests.
 """
 
 import json
@@ -31,30 +30,30 @@ FLAGS = (
     "--enable-unsafe-swiftshader",
     "--window-size=1280,900",
 )
-OURS = ("file:", "data:", "blob:", "http://localhost:", "http://127.0.0.1:", "chrome", "about:")
-"""How the addresses begin that do not leave this machine."""
+LOCAL = ("file:", "data:", "blob:", "http://localhost:", "http://127.0.0.1:", "chrome", "about:")
+"""Beginnings of addresses that do not leave the machine."""
 
 
 class Browser(Chrome):
-    """A browser that remembers what its pages did."""
+    """A browser with access to the console and the requests of its pages."""
 
-    def complaints(self) -> list[str]:
-        """What the console said since last asked, if it is an error."""
-        return [said["message"] for said in self.get_log("browser") if said["level"] == "SEVERE"]
+    def errors(self) -> list[str]:
+        """Errors of the console since the last call."""
+        return [entry["message"] for entry in self.get_log("browser") if entry["level"] == "SEVERE"]
 
     def requests(self) -> list[str]:
-        """The addresses asked for since last asked."""
+        """Addresses requested since the last call."""
         events = [json.loads(entry["message"])["message"] for entry in self.get_log("performance")]
-        asked = [event for event in events if event["method"] == "Network.requestWillBeSent"]
-        return [event["params"]["request"]["url"] for event in asked]
+        sent = [event for event in events if event["method"] == "Network.requestWillBeSent"]
+        return [event["params"]["request"]["url"] for event in sent]
 
-    def strangers(self) -> list[str]:
-        """Those of the requests that left this machine."""
-        return [url for url in self.requests() if not url.startswith(OURS)]
+    def foreign_requests(self) -> list[str]:
+        """Requests since the last call that left the machine."""
+        return [url for url in self.requests() if not url.startswith(LOCAL)]
 
 
 def opened(profile: Path) -> Iterator[Browser]:
-    """A browser with an empty profile, closed in the end."""
+    """Yield a browser with an empty profile, and close it at the end."""
     options = ChromeOptions()
     options.binary_location = CHROMIUM or ""
     for flag in (*FLAGS, f"--user-data-dir={profile}"):

@@ -1,6 +1,6 @@
-"""A small scene in files for the tests of the command line, and the command line as a function.
+"""A small scene in files, and the command line as a function, for the tests of the command line.
 
-Test modules take its fixtures in by `case, found, own_cache = FIXTURES`.
+Test modules import the fixtures with `case, found, own_cache = FIXTURES`.
 """
 
 import contextlib
@@ -17,7 +17,7 @@ from onnx import TensorProto, helper, numpy_helper
 from plyfile import PlyData, PlyElement
 
 from gsc_jax.benchmark.metrics import truth_mask
-from gsc_jax.cli import detector_choice as asked
+from gsc_jax.cli import detector_choice
 from gsc_jax.cli import main as cli
 from gsc_jax.detectors.onnx import OnnxDetector
 from gsc_jax.io.cameras import save_cameras
@@ -28,7 +28,7 @@ from gsc_jax.scene import Gaussians
 
 NAMES = ("left/img.0001.JPG", "view.b", "c")
 COUNT, OBJECT, BROKEN = 300, 60, (5, 17)
-"""Gaussians in the file, red ones among them, and rows that cannot be rendered."""
+"""Gaussians in the file, how many of them are red, and rows that cannot be rendered."""
 
 RED, BLUE = (1.2, -1.5, -1.5), (-1.5, -1.5, 1.2)
 
@@ -46,8 +46,22 @@ def run(*argv: object) -> Run:
     return Run(code, out.getvalue(), err.getvalue())
 
 
+def unparsable(*argv: object) -> str:
+    """The message of tyro about arguments that it cannot parse, with exit code 2."""
+    out, err = io.StringIO(), io.StringIO()
+    with (
+        contextlib.redirect_stdout(out),
+        contextlib.redirect_stderr(err),
+        pytest.raises(SystemExit) as stop,
+    ):
+        cli.main([str(arg) for arg in argv])
+    assert stop.value.code == 2
+    assert out.getvalue() == ""
+    return err.getvalue()
+
+
 def refused(*argv: object) -> str:
-    """What bad input is answered with: one line, exit code 2 and nothing else."""
+    """The message about bad input: one line, exit code 2 and no other output."""
     answer = run(*argv)
     assert answer.code == 2
     assert answer.out == ""
@@ -77,7 +91,7 @@ def case(tmp_path_factory) -> Path:
     cameras = [
         dataclasses.replace(camera, name=name)
         for camera, name in zip(
-            orbit_cameras(gaussians, 3, width=48, height=40), NAMES, strict=True
+            orbit_cameras(gaussians, 3, size=(48, 40)), NAMES, strict=True
         )
     ]
     save_cameras(folder / "cameras.json", cameras)
@@ -89,7 +103,7 @@ def case(tmp_path_factory) -> Path:
 
 
 def write_scene(path: Path, gaussians: Gaussians) -> None:
-    """The scene with properties of other people, one of them in the middle, and broken rows."""
+    """The scene with foreign properties, one of them in the middle, and broken rows."""
     plain = encode(gaussians)["vertex"].data
     kinds = [(name, plain.dtype[name]) for name in plain.dtype.names]
     data = np.empty(COUNT, [*kinds[:3], ("mask", "u1"), *kinds[3:], ("time", "<f8")])
@@ -103,7 +117,7 @@ def write_scene(path: Path, gaussians: Gaussians) -> None:
 
 
 def given(case: Path, **changes: object) -> list[object]:
-    """Arguments of a good `locate` but for the output, with some of them replaced or left out."""
+    """Valid arguments of `locate` without --out, with some replaced, or left out by None."""
     named = {"cameras": case / "cameras.json", "masks": case / "masks"} | changes
     scene = named.pop("scene", case / "scene.ply")
     flags = [(f"--{name.replace('_', '-')}", value) for name, value in named.items()]
@@ -118,20 +132,20 @@ def found(case, tmp_path_factory) -> tuple[Path, Run]:
 
 @pytest.fixture
 def own_cache(tmp_path, monkeypatch) -> Path:
-    """What networks said in earlier tests, and in earlier runs of this one, is not known."""
-    monkeypatch.setattr(asked, "default_cache", lambda: tmp_path / "cache")
+    """A new cache folder, without outputs of networks from other tests."""
+    monkeypatch.setattr(detector_choice, "cache_folder", lambda: tmp_path / "cache")
     return tmp_path / "cache"
 
 
 def report(out: Path) -> dict:
     def refuse(constant: str):
-        raise AssertionError(f"{constant} is no JSON")
+        raise AssertionError(f"{constant} is not valid JSON")
 
     return json.loads((out / "result.json").read_text(), parse_constant=refuse)
 
 
 def network(path: Path, channels: int = 3) -> Path:
-    """A model that flags what is red and not blue, as a network would."""
+    """An ONNX model that flags red pixels."""
     weights = np.array([20, 0, -20] if channels == 3 else [20] * channels, np.float32)
     graph = helper.make_graph(
         [
@@ -160,14 +174,14 @@ def contents(folder: Path) -> dict[str, bytes]:
 FIXTURES = case, found, own_cache
 
 
-def views_asked_of_networks(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """The views that ONNX networks are asked about from now on, by name."""
-    asked: list[str] = []
-    judged = OnnxDetector.__call__
+def record_network_views(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """A list that receives the name of each view on which an ONNX model runs from now on."""
+    views: list[str] = []
+    run_model = OnnxDetector.__call__
 
-    def counting(self, image, camera):
-        asked.append(camera.name)
-        return judged(self, image, camera)
+    def recording(self, image, camera):
+        views.append(camera.name)
+        return run_model(self, image, camera)
 
-    monkeypatch.setattr(OnnxDetector, "__call__", counting)
-    return asked
+    monkeypatch.setattr(OnnxDetector, "__call__", recording)
+    return views

@@ -1,4 +1,4 @@
-"""Strict JAX for every test, without implicit promotion, and a counter of compilations."""
+"""Strict JAX for all tests (no implicit promotion), and a counter of compilations."""
 
 import contextlib
 from collections.abc import Callable, Iterator
@@ -20,7 +20,7 @@ def _count(event: str, duration_secs: float, **kwargs: str | int) -> None:
 
 
 def pytest_configure(config):
-    # Not context managers: those are thread-local, and the library works in threads.
+    # Global settings, because context managers are thread-local and the library uses threads.
     jax.config.update("jax_numpy_dtype_promotion", "strict")
     jax.config.update("jax_numpy_rank_promotion", "raise")
     jax.monitoring.register_event_duration_secs_listener(_count)
@@ -32,14 +32,14 @@ def pytest_configure(config):
 
 @pytest.fixture
 def nan_is_an_error() -> Iterator[None]:
-    """Any NaN that a JAX function returns raises."""
+    """Raise an error for any NaN that a JAX function returns."""
     with jax.debug_nans(True):
         yield
 
 
 @pytest.fixture
 def count_compilations() -> Callable[[], contextlib.AbstractContextManager[list[str]]]:
-    """A context manager that yields the list of what XLA compiles inside it, filled at its end."""
+    """A context manager that yields a list; at its end the list holds the compilations inside."""
 
     @contextlib.contextmanager
     def counting():

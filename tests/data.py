@@ -1,4 +1,4 @@
-"""The real scenes beside the repository; tests that need them carry `@needs_data`."""
+"""Real scenes that lie beside the repository; tests that need them carry `@needs_data`."""
 
 import dataclasses
 import functools
@@ -22,7 +22,7 @@ needs_data = pytest.mark.skipif(
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class TamperedScene:
-    """A tampered scene with its truth; `folder` holds detector/, truth/ and heldout_truth/."""
+    """A tampered scene and its truth; `folder` holds detector/, truth/ and heldout_truth/."""
 
     folder: Path
     gaussians: Gaussians
@@ -33,14 +33,14 @@ class TamperedScene:
 
 @functools.cache
 def load_scene(name: str) -> tuple[Gaussians, list[Camera]]:
-    """A scene of `SCENES` and its cameras."""
+    """Load a scene of `SCENES` and its cameras."""
     folder = DATA / "scenes"
     return load_ply(folder / f"{name}.ply"), load_cameras(folder / f"{name}.cameras.json")
 
 
 @functools.cache
 def load_tampered(name: str) -> TamperedScene:
-    """A scene of `TAMPERED`."""
+    """Load a scene of `TAMPERED`."""
     folder = DATA / "tampered" / name
     return TamperedScene(
         folder=folder,
@@ -52,7 +52,7 @@ def load_tampered(name: str) -> TamperedScene:
 
 
 def cropped(camera: Camera, left: int, top: int, width: int, height: int) -> Camera:
-    """The camera that sees a window of the image: its principal point moves."""
+    """Camera of a window of the image: the principal point is shifted."""
     K = np.array(camera.K)
     K[:2, 2] -= [left, top]
     return dataclasses.replace(camera, K=K, width=width, height=height)

@@ -1,12 +1,12 @@
-"""A float64 renderer in NumPy, written from the equations: what the library is held to.
+"""An independent float64 renderer in NumPy, written from the equations, as a reference for tests.
 
-It shares no code with gsc_jax and does what the INRIA rasteriser does, one Gaussian after the other
-over all pixels (Kerbl et al. 2023; Zwicker et al. 2001), and builds the matrix W of blending
-weights that the library never builds. Harmonics come from associated Legendre functions.
+It shares no code with gsc_jax and follows the INRIA rasteriser (Kerbl et al. 2023; Zwicker et al.
+2001): one Gaussian at a time over all pixels, with the matrix W of blending weights stored in full.
+Harmonics come from associated Legendre functions.
 
-Float32 and float64 may decide differently whether an alpha is under 1/255, whether a pixel stops,
-and which of two nearly equal depths comes first. `Blending.slack` says by how much a pixel may jump
-when such a decision flips; it is 0 on the pixels where no decision is close.
+Float32 and float64 may decide differently whether an alpha is below 1/255, whether a pixel stops,
+and which of two nearly equal depths is first. `Blending.slack` bounds how far a pixel may change
+when such a decision flips; it is 0 on pixels where no decision is close.
 """
 
 import dataclasses
@@ -18,10 +18,11 @@ from scipy.special import expit, lpmv
 
 MIN_ALPHA, MAX_ALPHA, STOP, LOW_PASS = 1 / 255, 0.99, 1e-4, 0.3
 CLOSE_ALPHA = 3e-4
-"""Relative distance from 1/255 under which rounding may flip the cut; sigma is 5.5 there."""
+"""Relative distance of alpha from 1/255 within which rounding may flip the cut-off."""
 CLOSE_STOP = 1e-3
+"""Relative distance of the transmittance from 1e-4 within which rounding may flip the stop."""
 CLOSE_DEPTH = 5e-7
-"""Relative to the size of the coordinates: some roundings of float32."""
+"""Difference of depths, relative to the coordinates, within which rounding may flip the order."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,8 +34,8 @@ class Projection:
         factors: J W R S, whose product with its transpose is the covariance before the low-pass,
             (N, 2, 3).
         depths: Camera z, (N,).
-        opacities: Activated, (N,).
-        in_front: Beyond the near plane, (N,).
+        opacities: Activated opacities, (N,).
+        in_front: Mask of the Gaussians beyond the near plane, (N,).
     """
 
     means: np.ndarray
@@ -61,8 +62,8 @@ class Blending:
 
     Attributes:
         weights: W of the Gaussians that can touch a pixel, (pixels, M).
-        ids: Which these are, front to back, (M,).
-        slack: By how much a pixel may jump when rounding flips a decision, (pixels,).
+        ids: Indices of these Gaussians, front to back, (M,).
+        slack: Bound of the change of a pixel when rounding flips a decision, (pixels,).
         count: Number of Gaussians N.
         shape: Height and width.
     """
@@ -75,7 +76,7 @@ class Blending:
 
     @property
     def clear(self) -> np.ndarray:
-        """Where no decision is close, (H, W)."""
+        """Mask of the pixels where no decision is close, (H, W)."""
         return (self.slack == 0).reshape(self.shape)
 
     @property
@@ -89,7 +90,7 @@ class Blending:
         return image.reshape(*self.shape, -1)
 
     def accumulate(self, maps) -> np.ndarray:
-        """W^t m, (N, D)."""
+        """W^T m, (N, D)."""
         maps = np.asarray(maps, np.float64)
         sums = np.zeros((self.count, maps.shape[-1]))
         sums[self.ids] = self.weights.T @ maps.reshape(-1, maps.shape[-1])
@@ -108,13 +109,13 @@ def rotations(quats) -> np.ndarray:
 
 
 def project(gaussians, camera, *, near=0.2) -> Projection:
-    """The EWA projection J W Sigma W^t J^t + 0.3 I."""
+    """The EWA projection J W Sigma W^T J^T + 0.3 I."""
     view, K = (np.asarray(x, np.float64) for x in (camera.viewmat, camera.K))
     x, y, z = (np.asarray(gaussians.means, np.float64) @ view[:3, :3].T + view[:3, 3]).T
     in_front = z > near
     z = np.where(in_front, z, 1.0)
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
-    # The Jacobian is taken where the ray leaves the field of view by at most 30 % of its half.
+    # The ray of the Jacobian is clamped to the field of view plus 15 % of the image on each side.
     wide, high = 0.15 * camera.width / fx, 0.15 * camera.height / fy
     u = np.clip(x / z, -cx / fx - wide, (camera.width - cx) / fx + wide)
     v = np.clip(y / z, -cy / fy - high, (camera.height - cy) / fy + high)
@@ -139,7 +140,7 @@ def pixel_centers(left: int, top: int, width: int, height: int) -> np.ndarray:
 
 def alphas(projection: Projection, i: SupportsIndex, pixels: np.ndarray) -> np.ndarray:
     """min(0.99, o exp(-sigma)) of a Gaussian at every pixel, not cut off, (pixels,)."""
-    # The low-pass adds to the squared singular values: no needle is singular.
+    # The low-pass is added to the squared singular values, so no needle is singular.
     axes, lengths, _ = np.linalg.svd(projection.factors[i])
     along = (pixels - projection.means[i]) @ axes
     sigma = 0.5 * (along**2 / (lengths**2 + LOW_PASS)).sum(axis=1)
@@ -158,7 +159,7 @@ def blending(gaussians, camera, *, near=0.2, window=None) -> Blending:
     pixel = _Pixels(len(pixels), close_depth=CLOSE_DEPTH * coordinates)
     weights = np.zeros((len(pixels), len(ids)))
     for column, i in enumerate(ids):
-        weights[:, column] = pixel.take(alphas(projection, i, pixels), float(projection.depths[i]))
+        weights[:, column] = pixel.blend(alphas(projection, i, pixels), float(projection.depths[i]))
     return Blending(weights, ids, pixel.slack, len(projection.depths), (height, width))
 
 
@@ -171,25 +172,25 @@ def _front_to_back(projection: Projection, pixels: np.ndarray) -> np.ndarray:
 
 
 class _Pixels:
-    """The state of every pixel while Gaussians come one after the other, front to back."""
+    """State of every pixel while Gaussians are blended one at a time, front to back."""
 
     def __init__(self, count: int, *, close_depth: float):
-        self.light = np.ones(count)
+        self.transmittance = np.ones(count)
         self.stopped = np.zeros(count, bool)
         self.slack = np.zeros(count)
         self.last_depth = np.full(count, -np.inf)
         self.last_weight = np.zeros(count)
         self.close_depth = close_depth
 
-    def take(self, alpha: np.ndarray, depth: float) -> np.ndarray:
-        """The weight of the next Gaussian at every pixel."""
+    def blend(self, alpha: np.ndarray, depth: float) -> np.ndarray:
+        """Blend the next Gaussian; return its weight at every pixel."""
         covers = alpha >= MIN_ALPHA
-        behind = self.light * (1 - alpha)
+        behind = self.transmittance * (1 - alpha)
         self._note_close_decisions(alpha, behind, depth)
         self.stopped |= covers & (behind < STOP)
         takes = covers & ~self.stopped
-        weight = np.where(takes, self.light * alpha, 0.0)
-        self.light = np.where(takes, behind, self.light)
+        weight = np.where(takes, self.transmittance * alpha, 0.0)
+        self.transmittance = np.where(takes, behind, self.transmittance)
         self.last_depth = np.where(takes, depth, self.last_depth)
         self.last_weight = np.where(takes, weight, self.last_weight)
         return weight
@@ -198,7 +199,7 @@ class _Pixels:
         cut = np.abs(alpha / MIN_ALPHA - 1) < CLOSE_ALPHA
         stop = (alpha >= MIN_ALPHA) & (np.abs(behind / STOP - 1) < CLOSE_STOP)
         swap = (alpha >= MIN_ALPHA) & (depth - self.last_depth < self.close_depth)
-        jump = np.where(cut | stop, self.light * alpha, 0.0)
+        jump = np.where(cut | stop, self.transmittance * alpha, 0.0)
         swapped = self.last_weight * alpha
         jump += np.where(swap & (swapped > 1e-5), swapped, 0.0)
         self.slack += np.where(self.stopped, 0.0, jump)
@@ -228,7 +229,7 @@ def colors(gaussians, center) -> np.ndarray:
 
 
 def camera_center(camera) -> np.ndarray:
-    """Where the camera stands: the point that its viewmat sends to the origin, (3,)."""
+    """Position of the camera, the point that its viewmat maps to the origin, (3,)."""
     return np.linalg.inv(np.asarray(camera.viewmat, np.float64))[:3, 3]
 
 

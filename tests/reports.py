@@ -1,4 +1,4 @@
-"""Made runs of `locate` with all that a report tells of, without rendering anything."""
+"""Synthetic runs of `locate` with everything that a report shows, without rendering."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -11,18 +11,18 @@ import numpy as np
 from gsc_jax.cli.located import Located
 from gsc_jax.cli.outputs import write_report
 from gsc_jax.cli.pictures import jpeg_path, overlay, write_jpeg
-from gsc_jax.estimators.protocol import Reliability
-from gsc_jax.estimators.robust.early_stopping import Effort
-from gsc_jax.estimators.robust.estimator import RobustConfig
-from gsc_jax.forensics.evidence import Native
+from gsc_jax.estimators.protocol import Prior, Reliability
+from gsc_jax.estimators.robust.early_stopping import EarlyStopping
+from gsc_jax.estimators.robust.estimator import RobustEstimator
 from gsc_jax.forensics.traces import Trace
 from gsc_jax.io.masks import image_path, write_mask, write_probability
 from gsc_jax.io.ply import read_ply, save_ply
 from gsc_jax.locate import Result
 from gsc_jax.scene import Camera, Gaussians
+from gsc_jax.scene.camera import intrinsics
 
-COUNT, FOUND = 400, 100
-WORTHS: tuple[Reliability, ...] = ("finds", "misses", "inverted", "unseen")
+COUNT, TAMPERED = 400, 100
+KINDS: tuple[Reliability, ...] = ("reliable", "uninformative", "inverted", "unseen")
 GREEN = (0.1, 0.6, 0.2)
 """The colour of every render."""
 HOSTILE = (
@@ -35,11 +35,18 @@ HOSTILE = (
     "right\u202eleft",
     "{{ 7 * 7 }} ${7 * 7}",
 )
-"""Names that no file is called, unless somebody means harm."""
+"""Names of cameras that attack the page or its links."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class TracedPrior(Prior):
+    """A prior with traces, like the forensic evidence of the attributes."""
+
+    traces: tuple[Trace, ...]
 
 
 class Page(HTMLParser):
-    """The elements of a page with their attributes, and all of the text that people read."""
+    """The elements of a page with their attributes, and its visible text."""
 
     def __init__(self, html: str):
         super().__init__()
@@ -71,16 +78,16 @@ class Page(HTMLParser):
 def run(
     folder: Path, names: Sequence[str], *, size: tuple[int, int] = (64, 48), **changes: Any
 ) -> Located:
-    """A run of `robust` with a detector, in which a block in the middle of each view was found.
+    """A run of `robust` with a detector; a block in the middle of the views is tampered.
 
     Args:
-        folder: Where the scene is kept.
-        names: Of the cameras.
+        folder: Folder for the scene file.
+        names: Names of the cameras.
         size: Width and height of the views.
         changes: Fields of the result, or `warnings`.
     """
     rng = np.random.default_rng(0)
-    labels = np.arange(COUNT) < FOUND
+    labels = np.arange(COUNT) < TAMPERED
     save_ply(folder / "scene.ply", _gaussians(rng, labels))
     cameras = [_camera(name, size) for name in names]
     masks = {name: _mask(size, i) for i, name in enumerate(names)}
@@ -90,15 +97,16 @@ def run(
         labels=labels,
         attribute=attribute.astype(np.float32),
         verdict=0.97,
-        reliability={name: WORTHS[i % 4] for i, name in enumerate(names)},
+        reliability={name: KINDS[i % 4] for i, name in enumerate(names)},
         masks=masks,
-        detections={name: _said(mask) for name, mask in masks.items()},
+        probabilities={name: _probability(mask) for name, mask in masks.items()},
         seen=np.arange(COUNT) < COUNT - 7,
         group_sizes=np.zeros((0, 3), np.int32),
-        effort=Effort(views=len(names), available=3 * len(names), changes=(0.3, 0.0125)),
-        native=_native(),
-        method="robust",
-        config=RobustConfig(),
+        early_stopping=EarlyStopping(
+            views=len(names), available=3 * len(names), changes=(0.3, 0.0125)
+        ),
+        prior=_prior(),
+        estimator=RobustEstimator(),
         stages={},
         seconds=1.0,
         warnings=[],
@@ -108,20 +116,20 @@ def run(
         scene=read_ply(folder / "scene.ply"),
         cameras=cameras,
         result=dataclasses.replace(result, **changes),
-        stages={"load": _stage(0.26), "native": _stage(7.5), "write": _stage(3.25)},
+        stages={"load": _stage(0.26), "attributes": _stage(7.5), "write": _stage(3.25)},
         seconds=12.34,
         warnings=warnings,
     )
 
 
 def write(folder: Path, located: Located, *, pictures: bool = True) -> Page:
-    """Writes what `write_results` writes for a report, in plain colours, and the report."""
+    """Write the images of a report in plain colours, and the report."""
     result = located.result
     for camera in located.cameras:
         name, mask = camera.name, result.masks[camera.name]
         write_mask(image_path(folder / "masks", name), mask)
-        if name in result.detections:
-            write_probability(image_path(folder / "detector", name), result.detections[name])
+        if name in result.probabilities:
+            write_probability(image_path(folder / "detector", name), result.probabilities[name])
         if pictures:
             render = np.full((*mask.shape, 3), GREEN, np.float32)
             write_jpeg(jpeg_path(folder / "render", name), render)
@@ -131,7 +139,7 @@ def write(folder: Path, located: Located, *, pictures: bool = True) -> Page:
 
 
 def _gaussians(rng: np.random.Generator, labels: np.ndarray) -> Gaussians:
-    """Tampered ones are small and gaudy."""
+    """Tampered Gaussians are smaller and more saturated."""
     count, shift = len(labels), labels.astype(np.float32)
     return Gaussians(
         means=rng.normal(size=(count, 3)).astype(np.float32),
@@ -143,43 +151,36 @@ def _gaussians(rng: np.random.Generator, labels: np.ndarray) -> Gaussians:
 
 
 def _camera(name: str, size: tuple[int, int]) -> Camera:
-    width, height = size
-    intrinsics = np.array([[width, 0, width / 2], [0, width, height / 2], [0, 0, 1]], np.float32)
-    return Camera(
-        viewmat=np.eye(4, dtype=np.float32), K=intrinsics, width=width, height=height, name=name
-    )
+    K, viewmat = intrinsics(size[0], *size), np.eye(4, dtype=np.float32)
+    return Camera(viewmat=viewmat, K=K, width=size[0], height=size[1], name=name)
 
 
-def _mask(size: tuple[int, int], which: int) -> np.ndarray:
-    """A block in the middle, the larger the later the view; every fourth view is without."""
+def _mask(size: tuple[int, int], index: int) -> np.ndarray:
+    """A block in the middle that grows with the index; every fourth mask is empty."""
     width, height = size
     mask = np.zeros((height, width), bool)
-    if which % 4 < 3:
-        share = 0.2 + 0.6 * (which % 8) / 8
+    if index % 4 < 3:
+        share = 0.2 + 0.6 * (index % 8) / 8
         y, x = height // 2, width // 2
         rows, columns = int(share * y), int(share * x)
         mask[y - rows : y + rows, x - columns : x + columns] = True
     return mask
 
 
-def _said(mask: np.ndarray) -> np.ndarray:
+def _probability(mask: np.ndarray) -> np.ndarray:
     return np.where(np.roll(mask, 3, axis=1), 0.8, 0.1).astype(np.float16)
 
 
-def _native() -> Native:
-    odds, nothing = np.full(COUNT, -2, np.float32), np.zeros(COUNT, np.float32)
-    found = np.where(np.arange(COUNT) < FOUND, 0.9, 0).astype(np.float32)
-    return Native(
-        known=np.ones(COUNT, bool),
-        learned=odds,
-        learned_verdict=0.6,
-        log_odds=odds,
-        base=-2.0,
-        worst=-1.0,
+def _prior() -> TracedPrior:
+    nothing = np.zeros(COUNT, np.float32)
+    score = np.where(np.arange(COUNT) < TAMPERED, 0.9, 0).astype(np.float32)
+    return TracedPrior(
+        probability=score,
         verdict=0.83,
+        known=np.ones(COUNT, bool),
         traces=(
-            Trace(name="copied", score=nothing, explanation="No part occurs again."),
-            Trace(name="lattice", score=found, explanation="100 of 400 Gaussians are off."),
+            Trace(name="copy-move", score=nothing, explanation="No part occurs again."),
+            Trace(name="quantisation", score=score, explanation="100 of 400 Gaussians are off."),
         ),
     )
 

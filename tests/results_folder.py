@@ -1,4 +1,4 @@
-"""A small folder of results as `locate` writes it, made without running it."""
+"""A small folder of results in the format of `locate`, written without running it."""
 
 import dataclasses
 import json
@@ -12,15 +12,15 @@ from gsc_jax.render.orbit import orbit_cameras
 from gsc_jax.scene import Camera, Gaussians
 
 COUNT, OBJECT = 2000, 4
-"""Gaussians in the file, of which each so-many-th is of the object."""
+"""Gaussians in the file; every fourth belongs to the object."""
 BROKEN = (7, 12)
-"""Rows that cannot be rendered; the second is of the object."""
+"""Rows that cannot be rendered; the second belongs to the object."""
 THRESHOLD = 0.5
 RED, BLUE = (1.5, -1.2, -1.2), (-1.2, -1.2, 1.5)
 
 
 def ball_over_floor() -> tuple[Gaussians, np.ndarray]:
-    """A red ball over a blue floor, and the scores that find the ball, by row of the file."""
+    """A red ball over a blue floor, and scores that identify the ball, by row of the file."""
     rng = np.random.default_rng(0)
     ball = np.arange(COUNT) % OBJECT == 0
     floor_means = rng.uniform(-1, 1, (COUNT, 3)) * [1, 0.02, 1] + [0, 0.4, 0]
@@ -41,14 +41,14 @@ def ball_over_floor() -> tuple[Gaussians, np.ndarray]:
 
 
 def write_results(folder: Path, *, views: int = 3) -> list[Camera]:
-    """Writes the folder.
+    """Write the folder.
 
     Args:
-        folder: Where to, made where missing.
-        views: Number of cameras that were looked from.
+        folder: The folder, created if missing.
+        views: Number of cameras.
 
     Returns:
-        Those cameras, at the size of their masks.
+        The cameras, at the size of their masks.
     """
     gaussians, scores = ball_over_floor()
     folder.mkdir(parents=True, exist_ok=True)
@@ -57,7 +57,7 @@ def write_results(folder: Path, *, views: int = 3) -> list[Camera]:
     save_tampered(folder / "tamper.ply", scene, scores[scene.rows])
     np.save(folder / "tamper.npy", scores)
     np.save(folder / "labels.npy", scores > THRESHOLD)
-    around = orbit_cameras(scene.gaussians, views + 1, width=80, height=60)[:-1]
+    around = orbit_cameras(scene.gaussians, views + 1, size=(80, 60))[:-1]
     cameras = [
         dataclasses.replace(camera, name=f"view/{index}.JPG") for index, camera in enumerate(around)
     ]
@@ -78,7 +78,7 @@ def write_results(folder: Path, *, views: int = 3) -> list[Camera]:
 
 
 def rewrite_report(folder: Path, **changes: object) -> None:
-    """Replaces entries of result.json, or removes those that are None."""
+    """Replace entries of result.json, or remove those that are None."""
     path = folder / "result.json"
     report = json.loads(path.read_text(encoding="utf-8")) | changes
     kept = {key: value for key, value in report.items() if value is not None}

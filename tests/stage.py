@@ -1,4 +1,4 @@
-"""The page of a report as somebody looks at it: what is on its stage and in its strip, its keys."""
+"""The report in a browser: its stage (the large image), its strip of views, and its keys."""
 
 import base64
 import io
@@ -13,7 +13,7 @@ from selenium.webdriver.remote.webelement import WebElement
 from selenium.webdriver.support.ui import WebDriverWait
 
 LARGE = 640
-"""Width of the pictures in the folder."""
+"""Width of the full images."""
 CONTRAST = """
 const rgb = (text) => text.match(/[\\d.]+/g).map(Number);
 const light = (c) => c.slice(0, 3).map((v) => v / 255)
@@ -30,20 +30,19 @@ const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
 while (walker.nextNode()) {
   const e = walker.currentNode.parentElement;
   if (!walker.currentNode.data.trim() || !e.checkVisibility()) continue;
-  if (e.closest("script, title")) continue;
-  const style = getComputedStyle(e);
-  const text = light(rgb(e.closest("svg") ? style.fill : style.color));
+  if (e.closest("script")) continue;
+  const text = light(rgb(getComputedStyle(e).color));
   const paper = light(behind(e));
   found.push([(Math.max(text, paper) + 0.05) / (Math.min(text, paper) + 0.05), e.outerHTML]);
 }
 return found;
 """
-"""Each text that is seen with the contrast to what is behind it."""
+"""Contrast ratio (WCAG) and HTML of every visible text."""
 
 
 def show(browser: Browser, folder: Path, *, width: int = 1280, scheme: str = "light") -> None:
     browser.get("about:blank")
-    browser.complaints()
+    browser.errors()
     browser.requests()
     size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
     media = {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
@@ -57,28 +56,28 @@ def on_stage(browser: Browser) -> WebElement:
 
 
 def settled(browser: Browser, width: int = LARGE) -> WebElement:
-    """The picture on the stage once it is as wide as this."""
+    """The image on the stage, once it has this width."""
 
-    def is_there(_: object) -> bool:
+    def is_loaded(_: object) -> bool:
         return on_stage(browser).get_property("naturalWidth") == width
 
-    WebDriverWait(browser, 10, poll_frequency=0.02).until(is_there)
+    WebDriverWait(browser, 10, poll_frequency=0.02).until(is_loaded)
     return on_stage(browser)
 
 
-def told(element: WebElement, name: str) -> str:
-    """A property of an element."""
+def text_property(element: WebElement, name: str) -> str:
+    """A property of an element as text."""
     return str(element.get_property(name))
 
 
 def colour(element: WebElement, x: float = 0.5, y: float = 0.5) -> np.ndarray:
-    """What is really drawn at a place of an element."""
+    """Colour on the screen at a relative position of an element."""
     with Image.open(io.BytesIO(base64.b64decode(element.screenshot_as_base64))) as picture:
         place = int(x * picture.width), int(y * picture.height)
         return np.array(picture.convert("RGB").getpixel(place)) / 255
 
 
-def named(browser: Browser) -> str:
+def selected_name(browser: Browser) -> str:
     return browser.find_element(By.CSS_SELECTOR, "#stage .name").text
 
 

@@ -1,4 +1,4 @@
-"""Scenes and cameras for tests: random ones by seed, and hypothesis strategies on fixed shapes."""
+"""Scenes and cameras for tests: seeded ones, and hypothesis strategies with fixed shapes."""
 
 import dataclasses
 
@@ -7,20 +7,21 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from gsc_jax.scene import Camera, Gaussians
+from gsc_jax.scene.camera import intrinsics
 
 COUNT = 12
-"""Gaussians of a drawn scene: one shape, so that nothing recompiles."""
+"""Gaussians of a drawn scene: a fixed number, so that nothing recompiles."""
 
 
 def camera(width: int = 17, height: int = 15, *, viewmat=None, focal: float = 20.0) -> Camera:
-    """A camera at the origin that looks along z, unless it is told where."""
-    K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]], np.float32)
-    viewmat = np.eye(4) if viewmat is None else viewmat
-    return Camera(viewmat=np.asarray(viewmat, np.float32), K=K, width=width, height=height)
+    """A camera with this viewmat, by default at the origin and looking along z."""
+    viewmat = np.asarray(np.eye(4) if viewmat is None else viewmat, np.float32)
+    K = intrinsics(focal, width, height)
+    return Camera(viewmat=viewmat, K=K, width=width, height=height)
 
 
 def random_scene(count: int, *, seed: int = 0, degree: int = 1) -> Gaussians:
-    """Gaussians of all sizes before the camera, some of them out of the image."""
+    """Gaussians of all sizes in front of the camera, some of them outside of the image."""
     rng = np.random.default_rng([seed, count])
     return Gaussians(
         means=(rng.normal(size=(count, 3)) * [0.7, 0.7, 0.8] + [0, 0, 3]).astype(np.float32),
@@ -32,7 +33,7 @@ def random_scene(count: int, *, seed: int = 0, degree: int = 1) -> Gaussians:
 
 
 def blobs(means, *, opacity: float = 0.5, scale: float = 0.2) -> Gaussians:
-    """Equal round Gaussians at these places, grey."""
+    """Equal round grey Gaussians at these places."""
     means = np.asarray(means, np.float32).reshape(-1, 3)
     count = len(means)
     return Gaussians(
@@ -44,15 +45,27 @@ def blobs(means, *, opacity: float = 0.5, scale: float = 0.2) -> Gaussians:
     )
 
 
+def ball(count: int = 2000, *, center=(1.0, -2.0, 5.0), radius: float = 2.0) -> Gaussians:
+    """An opaque ball in which every tenth Gaussian is a faint floater far away."""
+    rng = np.random.default_rng(0)
+    means = rng.standard_normal((count, 3))
+    means /= np.linalg.norm(means, axis=1, keepdims=True)
+    means *= radius * rng.uniform(0, 1, (count, 1)) ** (1 / 3)
+    means[::10] *= 1e4
+    scene = blobs(means + center, opacity=0.95, scale=0.02)
+    scene.logit_opacities[::10] = -3
+    return scene
+
+
 def with_row(gaussians: Gaussians, field: str, value, *, row: int = 0) -> Gaussians:
-    """The scene with one row of a field overwritten."""
+    """The scene with one row of a field replaced."""
     values = np.array(getattr(gaussians, field))
     values[row] = value
     return dataclasses.replace(gaussians, **{field: values})
 
 
 def floats(shape, low: float, high: float):
-    """Arrays float32 within bounds."""
+    """Arrays of float32 within bounds."""
     elements = st.floats(low, high, width=32, allow_subnormal=False)
     return hnp.arrays(np.float32, shape, elements=elements)
 
@@ -67,7 +80,7 @@ def quaternions(draw, count: int = COUNT):
 
 @st.composite
 def scenes(draw, count: int = COUNT) -> Gaussians:
-    """Scenes of degree 0 whose depths differ by 0.06 at least, in the order of the rows."""
+    """Scenes of degree 0 in depth order, whose depths differ by at least 0.06."""
     sideways = draw(floats((count, 2), -1, 1))
     depths = 1 + 0.1875 * np.arange(count) + draw(floats(count, 0, 0.125))
     return Gaussians(

@@ -1,4 +1,4 @@
-"""The whole method: it finds what is there, and the degenerate cases are defined and said."""
+"""The whole method: labels, and degenerate cases, which are defined and reported."""
 
 import dataclasses
 
@@ -7,20 +7,28 @@ import pytest
 from data import TAMPERED, load_tampered, needs_data
 from strategies import blobs, camera, with_row
 
-from gsc_jax import METHODS, InputError, locate, rendered_share
+from gsc_jax import (
+    METHODS,
+    InputError,
+    Monitor,
+    Prior,
+    estimate,
+    forensic_evidence,
+    locate,
+    observe,
+    rendered_share,
+    sweep,
+)
 from gsc_jax.benchmark.metrics import confusion
 from gsc_jax.detectors.folder import FolderDetector
-from gsc_jax.estimators.gschecker import CONFIGS, find, sweep
-from gsc_jax.estimators.robust.prior_fusion import Prior
+from gsc_jax.estimators.protocol import ALL_FLAGGED, NONE_FLAGGED
 from gsc_jax.evidence.detector import as_detector, fit_to_view
-from gsc_jax.evidence.observation import observe
-from gsc_jax.forensics.evidence import native_evidence
-from gsc_jax.locate import _disagreement
+from gsc_jax.locate import _unconfirmed
 from gsc_jax.loop import LoopConfig
 from gsc_jax.scene import Camera
 
 METHOD = pytest.mark.parametrize("method", ["paper", "official"])
-EVERY_METHOD = pytest.mark.parametrize("method", [*CONFIGS])
+EVERY_METHOD = pytest.mark.parametrize("method", [*METHODS])
 ROW = [[x, y, 3] for x in np.linspace(-1.5, 1.5, 7) for y in np.linspace(-0.8, 0.8, 5)]
 SCENE = blobs([*ROW, [0, 0, 30.0], [0, 0, -5.0]], opacity=0.95, scale=0.2)
 TRUTH = np.array([x > 0.8 for x, _, _ in ROW] + [False, False])
@@ -58,26 +66,26 @@ def test_true_masks_find_the_tampered_gaussians(method):
     # What robust hands back is a probability; the others divide by the largest attribute.
     least = 0.9 if method == "robust" else 0.99
     assert least < result.tamper.max() <= 1
-    assert not result.labels[BEHIND], "a Gaussian that no view sees was found tampered"
+    assert not result.labels[BEHIND], "an unseen Gaussian is labelled"
 
 
 @EVERY_METHOD
-def test_no_view_says_tampered(method):
+def test_empty_masks_label_nothing(method):
     result = locate(SCENE, cameras(), everywhere(0.0), method=method)
     assert not result.labels.any()
     assert not result.tamper.any()
     assert not any(mask.any() for mask in result.masks.values())
-    assert "No view says that anything is tampered." in result.warnings
+    assert NONE_FLAGGED in result.warnings
 
 
 @EVERY_METHOD
-def test_every_view_says_tampered(method):
+def test_full_masks_label_all_seen_gaussians(method):
     result = locate(SCENE, cameras(), everywhere(1.0), method=method)
     assert np.array_equal(result.labels, result.seen)
     assert result.seen.any()
     assert not result.seen.all()
     assert np.isfinite(result.attribute).all()
-    assert "Every view says that everything is tampered." in result.warnings
+    assert ALL_FLAGGED in result.warnings
 
 
 @EVERY_METHOD
@@ -108,7 +116,7 @@ def test_rows_that_are_not_finite_are_counted_and_leave_the_others_alone(method,
     result = locate(broken, cameras(), truths(), config=config)
     assert np.isfinite(result.attribute).all()
     assert np.array_equal(result.labels, alone.labels)
-    assert any(text.startswith("2 of 37 Gaussians have values") for text in result.warnings)
+    assert any(text.startswith("2 of 37 Gaussians have invalid values") for text in result.warnings)
 
 
 @EVERY_METHOD
@@ -116,73 +124,75 @@ def test_a_hidden_gaussian_does_not_set_the_scale(method):
     wall = [[0, 0, 2]] * 4
     behind = [[0, 0, 40 + i] for i in range(30)]
     scene = blobs([*wall, *behind], opacity=0.999, scale=1.5)
-    said = everywhere(1.0) | {"view_0": np.zeros((32, 48))}
-    result = locate(scene, cameras(), said, method=method, native=False)
+    maps = everywhere(1.0) | {"view_0": np.zeros((32, 48))}
+    result = locate(scene, cameras(), maps, method=method, prior=False)
     assert not result.seen[-1], "the scene hides nothing"
     assert not result.tamper[~result.seen].any()
     assert not result.attribute[~result.seen].any()
 
 
-def test_the_scores_do_not_depend_on_what_was_run_before():
+def test_scores_do_not_depend_on_earlier_runs():
     detector = as_detector(truths())
     first = locate(SCENE, cameras(), detector)
     locate(SCENE, cameras(2), detector)
     assert np.array_equal(first.attribute, locate(SCENE, cameras(), detector).attribute)
 
 
-def test_a_sweep_finds_what_each_configuration_finds_alone():
-    observation = observe(SCENE, cameras(), as_detector(truths()))
+def test_a_sweep_equals_separate_estimates():
+    observation = observe(SCENE, cameras(), truths())
     configs = [
         dataclasses.replace(METHODS[name], loop=LoopConfig(lambda2=lambda2), threshold=threshold)
         for name, lambda2, threshold in [("official", 1.0, 0.1), ("paper", 5.0, 0.3)]
     ]
-    found = list(sweep(SCENE, cameras(), observation, configs))
+    found = list(sweep(observation, configs))
     for finding, config in zip(found, configs, strict=True):
-        alone = find(SCENE, cameras(), observation, config)
+        alone = estimate(SCENE, cameras(), observation, config=config)
         assert np.array_equal(finding.attribute, alone.attribute)
         assert np.array_equal(finding.labels, alone.labels)
     assert not np.array_equal(found[0].attribute, found[1].attribute)
 
 
 @EVERY_METHOD
-def test_a_prior_is_used_or_a_warning_says_that_it_was_not(method):
-    observation = observe(SCENE, cameras(), as_detector(truths()))
+def test_a_prior_is_used_or_a_warning_reports_that_it_is_not(method):
+    observation = observe(SCENE, cameras(), truths())
     prior = Prior(
         probability=np.where(TRUTH, 0.01, 0.99).astype(np.float32),
         verdict=0.9,
         known=np.ones(len(TRUTH), bool),
     )
-    alone, told = (find(SCENE, cameras(), observation, CONFIGS[method], p) for p in (None, prior))
-    used = not np.array_equal(alone.attribute, told.attribute)
-    said = any("not used" in warning for warning in told.warnings)
-    assert used == (method == "robust"), "only robust has a use for a prior"
-    assert said == (not used), "what was not used was not said, or what was used was"
-    native = native_evidence(SCENE)
-    result = locate(SCENE, cameras(), truths(), method=method, native=native)
+    alone, fused = (
+        estimate(SCENE, cameras(), observation, method=method, prior=p) for p in (None, prior)
+    )
+    used = not np.array_equal(alone.attribute, fused.attribute)
+    warned = any("not used" in warning for warning in fused.warnings)
+    assert used == (method == "robust"), "only robust uses a prior"
+    assert warned == (not used)
+    evidence = forensic_evidence(SCENE)
+    result = locate(SCENE, cameras(), truths(), method=method, prior=evidence)
     assert any("not used" in warning for warning in result.warnings) == (not used)
-    assert (result.native is native) == used
+    assert (result.prior is evidence) == used
 
 
-def test_the_result_says_which_method_made_it():
+def test_the_result_names_its_method():
     assert locate(SCENE, cameras(2), truths()).method == "robust"
     assert locate(SCENE, cameras(2), truths(), config=METHODS["paper"]).method == "paper"
 
 
 @pytest.mark.parametrize(("found", "warned"), [(0, False), (1, True), (2, False), (20, False)])
-def test_a_finding_much_smaller_than_what_was_flagged_is_a_warning(found, warned):
+def test_labels_much_smaller_than_the_masks_are_a_warning(found, warned):
     columns = np.arange(40)[None].repeat(10, axis=0)
-    said = _disagreement(
-        {"view": columns < 20}, {"view": columns < found, "unjudged": columns < 40}
+    sentences = _unconfirmed(
+        {"view": columns < 20}, {"view": columns < found, "other": columns < 40}
     )
-    assert bool(said) == warned
-    assert all("masks disagree" in sentence for sentence in said)
+    assert bool(sentences) == warned
+    assert all("masks disagree" in sentence for sentence in sentences)
 
 
 @pytest.mark.parametrize(
     "wrong",
     [{"mask_rule": "shar"}, {"path": "y"}, {"threshold": -1.0}, {"epochs": 0}, {"near": 0.0}],
 )
-def test_a_configuration_that_means_nothing_is_refused(wrong):
+def test_values_out_of_range_are_errors(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):
         dataclasses.replace(METHODS["paper"], **wrong)
 
@@ -206,7 +216,7 @@ def test_it_is_deterministic_and_the_seed_matters_only_for_the_order():
     assert not np.array_equal(first.attribute, other.attribute)
 
 
-def test_a_function_sees_every_render_once():
+def test_a_function_gets_every_render_once():
     seen = []
 
     def detector(image):
@@ -217,23 +227,23 @@ def test_a_function_sees_every_render_once():
     assert len(seen) == 2
     assert seen[0].shape == (32, 48, 3)
     assert seen[0].dtype == np.float32
-    assert 0 <= seen[0].min() < seen[0].max() <= 1, "the detector was shown an empty image"
-    assert set(result.detections) == {"view_0", "view_1"}
+    assert 0 <= seen[0].min() < seen[0].max() <= 1, "the image is empty"
+    assert set(result.probabilities) == {"view_0", "view_1"}
 
 
 def test_cameras_without_a_mask_are_counted_and_still_get_one():
     some = {name: mask for name, mask in truths().items() if name != "view_3"}
     result = locate(SCENE, cameras(), some)
     assert set(result.masks) == {c.name for c in cameras()}
-    assert "view_3" not in result.detections
+    assert "view_3" not in result.probabilities
     assert any("1 of 6 cameras" in w and "view_3" in w for w in result.warnings)
 
 
-def test_progress_and_stages_are_told():
-    told = []
-    result = locate(SCENE, cameras(2), truths(), progress=lambda *step: told.append(step))
-    assert ("look", 2, 2) in told
-    assert ("masks", 2, 2) in told
+def test_progress_and_stages_are_recorded():
+    calls = []
+    result = locate(SCENE, cameras(2), truths(), monitor=Monitor(lambda *step: calls.append(step)))
+    assert ("views", 2, 2) in calls
+    assert ("masks", 2, 2) in calls
     assert {"project", "bin", "detect", "lift", "vote", "optimise", "masks"} <= set(result.stages)
     assert all(stage["seconds"] >= 0 for stage in result.stages.values())
 
@@ -264,7 +274,7 @@ def test_a_mask_is_resized_as_a_probability_and_thresholded_once_strictly():
     view = camera(4, 2)
     resized = fit_to_view(np.array([[0, 1]]), view)
     assert resized.shape == (2, 4)
-    assert 0 < resized[0, 1] < 0.5 < resized[0, 2] < 1, "thresholded before it was resized"
+    assert 0 < resized[0, 1] < 0.5 < resized[0, 2] < 1, "thresholded before resizing"
     half = fit_to_view(np.full((1, 2, 4), 0.5), view)
     assert not (half > 0.5).any()
     assert as_detector({"": half}).needs_image is False

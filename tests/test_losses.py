@@ -1,4 +1,4 @@
-"""The losses: each equation by hand, empty groups, gradients."""
+"""The losses: cases worked by hand, the definition of eq. 7 and 8, empty groups, gradients."""
 
 import dataclasses
 
@@ -21,6 +21,8 @@ from gsc_jax.losses import (
     official_attributes,
     paper_attributes,
     partition,
+    sim,
+    sim_difference,
     standardised_attributes,
 )
 
@@ -32,14 +34,14 @@ def groups(high, middle, low) -> Partition:
     return Partition(high=high, middle=middle, low=low)
 
 
-def test_the_2d_loss_rewards_inside_and_charges_outside():
+def test_the_2d_loss_weights_the_inside_by_lambda1_and_the_outside_by_lambda2():
     rendered = jnp.array([[1.0, 2.0], [3.0, 4.0]])
     mask = np.array([[True, False], [False, True]])
     assert loss_2d(rendered, mask) == -(1 + 4) + 10 * (2 + 3)
     assert loss_2d(rendered, mask, lambda1=2.0, lambda2=0.5) == -2 * (1 + 4) + 0.5 * (2 + 3)
 
 
-def test_the_2d_loss_of_the_evidence_is_linear_in_the_attribute():
+def test_the_2d_loss_from_evidence_is_linear_in_the_attribute():
     evidence = Evidence(total=jnp.array([4.0, 2.0]), tampered=jnp.array([3.0, 0.5]))
     r = jnp.array([1.0, -2.0])
     expected = 1 * (10 * 1 - 3) + -2 * (10 * 1.5 - 0.5)
@@ -48,7 +50,7 @@ def test_the_2d_loss_of_the_evidence_is_linear_in_the_attribute():
     np.testing.assert_allclose(gradient, [7, 14.5], rtol=1e-6)
 
 
-def test_the_partition_has_the_released_thresholds():
+def test_the_groups_have_the_thresholds_of_the_released_code():
     r = jnp.array([10.0, 9.0, 8.9, 1.0, 0.5, 0.0, -8.0, -9.0, -10.0])
     found = partition(r)
     assert np.flatnonzero(found.high).tolist() == [0, 1]
@@ -67,8 +69,8 @@ def test_the_direction_points_to_the_nearer_mean():
     attributes = jnp.array([[1.0, 0], [1, 0], [0.9, 0], [0.1, 0], [0, 0], [0, 0]]).T
     split = groups([0, 1], [2, 3], [4, 5])
     assert direction(attributes, split).tolist() == [0, 0, 1, -1, 0, 0]
-    # One feature says high, the other low: the larger distance decides per Gaussian, they cancel
-    # per feature.
+    # One attribute is nearer to G_h, the other to G_l: per Gaussian the larger difference decides,
+    # per attribute the signs cancel.
     mixed = jnp.array([[1.0, 0], [1, 0], [0.9, -3], [0.1, 3], [0, 0], [0, 0.5]]).T
     assert direction(mixed, split, per_feature=True).tolist() == [0, 0, 1, -1, 0, 0]
     torn = mixed.at[:, 2].set(jnp.array([0.9, 5.0]))
@@ -85,19 +87,15 @@ def test_the_3d_loss_is_minus_the_mean_of_u_r_over_the_middle():
     np.testing.assert_allclose(gradient, [0, 0, -0.5, 0.5, 0, 0])
 
 
-@pytest.mark.parametrize("per_feature", [False, True])
-def test_the_direction_is_the_sign_of_the_difference_of_squares(per_feature):
+def test_the_factored_difference_is_that_of_the_two_sims():
+    """Eq. 8 is computed without the squares of eq. 7."""
     rng = np.random.default_rng(0)
-    attributes = rng.normal(size=(60, 5)) * [1, 10, 0.1, 3, 1]
-    labels = rng.integers(0, 3, 60)
-    split = Partition(high=labels == 2, middle=labels == 1, low=labels == 0)
-    sim_h, sim_l = (
-        (attributes - attributes[group].mean(axis=0)) ** 2 for group in (split.high, split.low)
-    )
-    difference = sim_l - sim_h
-    expected = np.sign(difference).mean(axis=1) if per_feature else np.sign(difference.sum(axis=1))
-    u = direction(attributes.T.astype(np.float32), split, per_feature=per_feature)
-    np.testing.assert_allclose(u, np.where(split.middle, expected, 0), atol=1e-6)
+    attributes = (rng.normal(size=(5, 60)) * [[1], [10], [0.1], [3], [1]]).astype(np.float32)
+    mean_h, mean_l = rng.normal(size=(2, 5)).astype(np.float32)
+    difference = np.sum(sim_difference(attributes, mean_h, mean_l), axis=0)
+    sims = sim(attributes, mean_l) - sim(attributes, mean_h)
+    np.testing.assert_allclose(difference, sims, rtol=1e-4, atol=1e-4)
+    assert sim(attributes, attributes[:, 7])[7] == 0
 
 
 @pytest.mark.usefixtures("nan_is_an_error")
@@ -107,14 +105,13 @@ def test_the_direction_is_the_sign_of_the_difference_of_squares(per_feature):
 )
 def test_an_empty_group_makes_the_3d_loss_zero_with_zero_gradient(split, per_feature):
     attributes, r = jnp.ones((3, 6)), jnp.arange(6.0)
-    value, gradient = jax.value_and_grad(loss_3d)(
-        r, attributes, groups(*split), per_feature=per_feature
-    )
+    loss_and_gradient = jax.value_and_grad(loss_3d)
+    value, gradient = loss_and_gradient(r, attributes, groups(*split), per_feature=per_feature)
     assert value == 0
     assert not gradient.any()
 
 
-def test_the_attributes_are_those_of_the_paper_and_of_the_released_code():
+def test_the_attributes_have_the_sizes_and_units_of_paper_and_released_code():
     scene = random_scene(5, degree=2)
     assert paper_attributes(scene).shape == (11 + 3 * 9, 5)
     official = official_attributes(scene)
@@ -124,7 +121,7 @@ def test_the_attributes_are_those_of_the_paper_and_of_the_released_code():
 
 
 @pytest.mark.usefixtures("nan_is_an_error")
-def test_standardised_attributes_do_not_depend_on_units_or_on_the_sign_of_a_quaternion():
+def test_standardised_attributes_ignore_units_and_the_sign_of_a_quaternion():
     scene = random_scene(50)
     larger = dataclasses.replace(
         scene,
@@ -132,9 +129,8 @@ def test_standardised_attributes_do_not_depend_on_units_or_on_the_sign_of_a_quat
         log_scales=scene.log_scales + np.log(np.float32(100)),
         quats=-scene.quats,
     )
-    np.testing.assert_allclose(
-        standardised_attributes(scene), standardised_attributes(larger), rtol=2e-3, atol=2e-3
-    )
+    standardised, of_larger = standardised_attributes(scene), standardised_attributes(larger)
+    np.testing.assert_allclose(standardised, of_larger, rtol=2e-3, atol=2e-3)
     infinite = with_row(scene, "logit_opacities", np.inf)
     constant = dataclasses.replace(infinite, means=np.ones_like(scene.means))
     assert jnp.isfinite(standardised_attributes(constant)).all()

@@ -1,8 +1,8 @@
-"""What the made room and its foreign object consist of: textured surfaces, nothing sampled yet.
+"""Textured surfaces of the made room and of its foreign object.
 
-Metres, y down, the room centred on the origin with its floor at y = 0, walls on all sides and no
-ceiling. Where a finely sampled surface lies before a coarse one (pictures, rug) there is a deep gap
-or a hole, since the wide Gaussians of the coarse one would show through.
+Metres, y down; the room is centred on the origin with its floor at y = 0, walls on all sides and no
+ceiling. A finely sampled surface in front of a coarse one (pictures, rug) is separated from it by a
+gap or a hole, since the wide Gaussians of the coarse one would show through.
 """
 
 import numpy as np
@@ -30,17 +30,18 @@ PARQUET = Texture("brick.png", (1.6, 1.15, 0.75), contrast=0.8)
 OAK = Texture("gravel.png", (1.35, 0.85, 0.5), (0.3, 3), contrast=0.35)
 WALNUT = Texture("gravel.png", (0.75, 0.45, 0.3), (0.3, 3), contrast=0.4)
 STEEL = Texture("gravel.png", (0.5, 0.5, 0.55), contrast=0.2)
+PAPER = Texture("page.png", (1.5, 1.4, 1.1), (3, 1))
 CLOTH = Texture("grass.png", (0.55, 0.9, 0.95), (1.5, 1.5), contrast=0.6)
 
 
 def room_parts(rng: np.random.Generator) -> list[Part]:
-    """Floor, walls and furniture of the room; chance decides the books."""
+    """Floor, walls and furniture of the room, with random books."""
     parts = [*_shell(), *_table(), *_chair(0.15, 0.6, 1), *_chair(-0.3, -0.6, -1), *_sofa()]
     return [*parts, *_cabinet(), *_lamp(), *_shelf(rng), *_pictures()]
 
 
 def vase_parts() -> list[Part]:
-    """A vase with two handles and a finial, 0.6 m high, that stands on the origin."""
+    """Vase with two handles and a finial, 0.6 m high, standing on the origin."""
     height = np.array([0, 0.03, 0.07, 0.16, 0.26, 0.34, 0.39, 0.45, 0.47])
     radius = np.array([0.09, 0.09, 0.06, 0.135, 0.175, 0.15, 0.08, 0.075, 0.11])
     fine = np.linspace(0, height[-1], 97)
@@ -72,7 +73,7 @@ def _shell() -> list[Part]:
 
 
 def _floor(width: float, depth: float) -> list[Part]:
-    """A rug of this size in the middle and boards around it: nothing lies under the rug."""
+    """Rug of this size in the middle, and boards around it but not under it."""
     beside, before = (WIDTH - width) / 2, (DEPTH - depth) / 2
     strips = [(side * (width + beside) / 2, 0, beside, DEPTH) for side in (-1, 1)]
     strips += [(0, side * (depth + before) / 2, width, before) for side in (-1, 1)]
@@ -131,9 +132,7 @@ def _lamp() -> list[Part]:
     return [
         Part(cylinder((1.75, 0, -1.55), 0.15, 0.14, 0.03), STEEL, 3.0),
         Part(cylinder((1.75, 0, -1.55), 0.018, 0.018, 1.5), STEEL, 6.0),
-        Part(
-            revolve(shade, (1.75, -1.45, -1.55)), Texture("page.png", (1.5, 1.4, 1.1), (3, 1)), 4.0
-        ),
+        Part(revolve(shade, (1.75, -1.45, -1.55)), PAPER, 4.0),
     ]
 
 
@@ -144,10 +143,8 @@ def _shelf(rng: np.random.Generator) -> list[Part]:
     for board in (0.08, 0.53, 0.98, 1.43):
         x = -0.72
         while (x := x + (width := rng.uniform(0.03, 0.08)) + rng.exponential(0.01)) < 0.72:
-            height, tint = (
-                rng.uniform(0.2, 0.34),
-                tuple(rng.uniform(0.25, 1.2) * rng.uniform(0.6, 1.2, 3)),
-            )
+            height = rng.uniform(0.2, 0.34)
+            tint = tuple(rng.uniform(0.25, 1.2) * rng.uniform(0.6, 1.2, 3))
             book = box((x - width / 2, -board, 1.8), width, height, 0.2)
             parts += _parts(book, Texture("text.png", tint, (0.3, 1)), 3.0)
     return parts
@@ -167,6 +164,6 @@ def _pictures() -> list[Part]:
 def _picture(
     image: str, foot: tuple[float, float, float], normal: np.ndarray, width: float, height: float
 ) -> list[Part]:
-    """A canvas so deep that the coarse Gaussians of the wall do not reach through it."""
+    """Canvas 0.1 m deep, which the coarse Gaussians of the wall do not reach through."""
     size = (width, height, 0.1) if normal[2] else (0.1, height, width)
     return _parts(box(foot + 0.05 * normal, *size), Texture(image), 8.0)

@@ -1,11 +1,11 @@
-"""How well something was found, by the definitions of IMDL-BenCo, which the paper's tables use.
+"""Metrics of masks and labels, as defined by IMDL-BenCo, which the paper's tables use.
 
 P = TP / (TP + FP + e), R = TP / (TP + FN + e), F1 = 2 P R / (P + R + e) and IoU = TP / (TP + FP +
-FN + e) with e = 1e-8, for predictions and truths > 0.5, in each view; then the mean over the views
-in which something is tampered. In an authentic view F1 is 0 by construction, so its measure is
-the flagged area. Nothing here picks the better of a mask and its complement.
+FN + e) with e = 1e-8, for predictions and truths > 0.5, in each view; then the mean over the
+tampered views. In an authentic view F1 is 0 by construction, so it is measured by the flagged
+area. No metric picks the better of a mask and its complement.
 
-The same counts with one weight per entry serve labels of Gaussians, weighted by opacity.
+With one weight per entry, the same counts apply to labels of Gaussians, weighted by opacity.
 """
 
 import dataclasses
@@ -22,7 +22,7 @@ EPSILON = 1e-8
 
 
 class Confusion(NamedTuple):
-    """Summed weights, or counts, of the four outcomes."""
+    """Counts, or summed weights, of the four outcomes."""
 
     tp: float
     fp: float
@@ -31,31 +31,31 @@ class Confusion(NamedTuple):
 
     @property
     def precision(self) -> float:
-        """The share of what was flagged that is tampered."""
+        """Tampered share of the flagged entries."""
         return self.tp / (self.tp + self.fp + EPSILON)
 
     @property
     def recall(self) -> float:
-        """The share of what is tampered that was flagged."""
+        """Flagged share of the tampered entries."""
         return self.tp / (self.tp + self.fn + EPSILON)
 
     @property
     def f1(self) -> float:
-        """The harmonic mean of precision and recall."""
+        """Harmonic mean of precision and recall."""
         return 2 * self.precision * self.recall / (self.precision + self.recall + EPSILON)
 
     @property
     def iou(self) -> float:
-        """Intersection over union of what was flagged and what is tampered."""
+        """Intersection over union of the flagged and the tampered entries."""
         return self.tp / (self.tp + self.fp + self.fn + EPSILON)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Scores:
-    """Means over the tampered views, and the views they come from.
+    """Mean metrics over the tampered views; NaN if no view is tampered.
 
     Attributes:
-        f1: Mean F1; not a number if no view is tampered, as the other means.
+        f1: Mean F1.
         iou: Mean intersection over union.
         precision: Mean precision.
         recall: Mean recall.
@@ -72,15 +72,12 @@ class Scores:
 
 
 def confusion(prediction: Array, truth: Array, *, weights: Array | None = None) -> Confusion:
-    """Counts of the four outcomes, whatever the shape.
+    """Count the four outcomes.
 
     Args:
-        prediction: Bool, or numbers that are flagged where > 0.5.
+        prediction: Bool, or numbers that are flagged where > 0.5, any shape.
         truth: Bool, or numbers that are tampered where > 0.5, same shape.
-        weights: What each entry counts, for instance the opacities of Gaussians; 1 by default.
-
-    Returns:
-        Summed weights of true and false positives, false and true negatives.
+        weights: Weight of each entry, such as the opacity of a Gaussian; 1 by default.
 
     Raises:
         ValueError: if the shapes differ.
@@ -100,20 +97,8 @@ def f1_score(prediction: Array, truth: Array, *, weights: Array | None = None) -
     return confusion(prediction, truth, weights=weights).f1
 
 
-def iou(prediction: Array, truth: Array, *, weights: Array | None = None) -> float:
-    """Intersection over union of a mask, or of labels; see `confusion` for the arguments."""
-    return confusion(prediction, truth, weights=weights).iou
-
-
 def mean_over_tampered_views(predictions: Sequence[Array], truths: Sequence[Array]) -> Scores:
-    """The headline: F1, IoU, precision and recall, averaged over the tampered views.
-
-    Args:
-        predictions: One mask per view, each of shape (H, W), sizes may differ between views.
-        truths: The true masks, in the same order.
-
-    Returns:
-        The scores.
+    """F1, IoU, precision and recall of masks (H, W), one per view, averaged over tampered views.
 
     Raises:
         ValueError: if the numbers of views differ, or the sizes in a view.
@@ -124,34 +109,27 @@ def mean_over_tampered_views(predictions: Sequence[Array], truths: Sequence[Arra
     counts = [confusion(predictions[view], truths[view]) for view in views]
     names = "f1", "iou", "precision", "recall"
     per_view = {name: np.array([getattr(count, name) for count in counts]) for name in names}
-    # The mean of nothing is not a number; NumPy would warn, and the empty `views` say it.
+    # NumPy would warn about the mean of no view.
     means = {name: float(v.mean()) if v.size else float("nan") for name, v in per_view.items()}
     return Scores(**means, views=views, per_view=per_view)
 
 
 def false_positive_area(predictions: Sequence[Array]) -> np.ndarray:
-    """The measure for authentic views: the share of their pixels that was flagged.
-
-    Args:
-        predictions: One mask per authentic view, each of shape (H, W).
-
-    Returns:
-        Shares in [0, 1], shape (V,).
-    """
+    """Flagged share of the pixels of authentic views with masks (H, W), shape (V,)."""
     return np.array([_binary(prediction).mean() for prediction in predictions], np.float64)
 
 
 def auc(scores: Array, truth: Array) -> float:
-    """Area under the ROC curve: the chance that a tampered entry scores above an authentic one.
+    """Probability that a tampered entry scores above an authentic one, ties counted half.
 
-    Ties count half, as in Mann and Whitney's U.
+    This is the area under the ROC curve, computed as Mann and Whitney's U.
 
     Args:
-        scores: Any numbers, larger where more tampered; not one NaN.
+        scores: Numbers without NaN, larger where more tampered.
         truth: Bool, or numbers that are tampered where > 0.5, same shape.
 
     Returns:
-        The area in [0, 1]; not a number if all entries are of one kind.
+        The area in [0, 1]; NaN if all entries are of one kind.
 
     Raises:
         ValueError: if the shapes differ or a score is NaN.
@@ -174,17 +152,10 @@ def auc(scores: Array, truth: Array) -> float:
 def truth_mask(
     gaussians: Gaussians, camera: Camera, labels: Array, *, near: float = NEAR
 ) -> np.ndarray:
-    """Where a view shows something tampered, from the labels of the Gaussians.
+    """True mask (H, W) of a view, from the labels (N,) of the Gaussians.
 
-    Args:
-        gaussians: N Gaussians.
-        camera: The view.
-        labels: True where tampered, shape (N,).
-        near: Near plane in world units.
-
-    Returns:
-        True where more than half of what covers the pixel is tampered and it is covered at all
-        (alpha > 0.1), shape (H, W) bool.
+    A pixel is tampered where tampered Gaussians have more than half of its blending weight and it
+    is covered (alpha > 0.1).
     """
     return rendered_share(gaussians, camera, labels, near=near) > 0.5
 

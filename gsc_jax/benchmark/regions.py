@@ -1,9 +1,9 @@
-"""What cameras see of a scene, and compact regions of it, grown over the graph of neighbours.
+"""Visibility of Gaussians, and compact regions of a scene, grown over the nearest-neighbour graph.
 
-How much of a view a Gaussian fills is its blending weight, the first half of the evidence that the
-method itself collects. A region is what lies nearest to a seed along the graph of nearest
-neighbours, not through the air; it grows until the weights of its Gaussians add up to the wanted
-share of the pixels. Views are scaled down, for only areas are wanted.
+The share of a view that a Gaussian fills is its total blending weight, as in the evidence. A region
+consists of the Gaussians nearest to a seed along the graph rather than through the air; it grows
+until their blending weights sum to the requested share of the pixels. Views are scaled down, since
+only areas matter.
 """
 
 import dataclasses
@@ -14,49 +14,51 @@ from typing import TypeVar
 import jax.numpy as jnp
 import numpy as np
 
+from gsc_jax.benchmark.metrics import truth_mask
 from gsc_jax.render.orbit import mean_up
 from gsc_jax.render.projection import NEAR
 from gsc_jax.render.spherical_harmonics import Y0
 from gsc_jax.render.tiles import make_view
-from gsc_jax.scene import Camera, Gaussians, invalid_rows
-from gsc_jax.scene.parallel import WORKERS, ahead
+from gsc_jax.scene import Camera, Gaussians
+from gsc_jax.scene.gaussians import usable_rows
+from gsc_jax.scene.parallel import WORKERS, bounded_map
 from gsc_jax.splat import accumulate
 
 Value = TypeVar("Value")
 
-WIDTH = 160
-"""Width in pixels that views are scaled down to."""
-VIEWS = 16
-"""At most as many views are looked through for a place, evenly taken."""
-VISIBLE = 0.003
-"""A view that shows less than this share of its pixels of something does not see it."""
-CONTRAST = 6.0
-"""For regions that are to be things: see `grow`."""
+VIEW_WIDTH = 160
+"""Width in pixels to which views are scaled down: areas of 1 % are still some hundred pixels."""
+MAX_VIEWS = 16
+"""Views from which visibility is measured at most, evenly spread."""
+VISIBLE_SHARE = 0.003
+"""An edit is visible in a view where it covers at least this share of the pixels."""
+OBJECT_CONTRAST = 6.0
+"""Contrast for regions that should end at the edges of objects; see `grow_region`."""
 NEIGHBOURS = 10
-"""Edges that a Gaussian has in the graph, at least."""
-RING = 1.9
-"""The surroundings of a region reach to this multiple of its radius along the graph."""
-BALL = 2.4
-"""And are looked for in a ball of this multiple of the radius of one that covers as much."""
+"""Least number of edges of a Gaussian in the graph."""
+RING_REACH = 1.9
+"""The ring of a region extends to this multiple of its radius along the graph."""
+BALL_REACH = 2.4
+"""The graph is built in a ball of this multiple of the radius of one that covers as much."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Sight:
-    """What some views see of a scene of N Gaussians.
+class Visibility:
+    """Visibility of N Gaussians from V views.
 
     Attributes:
         cameras: The V views, scaled down.
-        shares: The share of the pixels of a view that a Gaussian fills, shape (V, N); 0 for rows
+        pixel_share: Share of the pixels of a view that a Gaussian fills, shape (V, N); 0 for rows
             that cannot be rendered.
-        focus: The chance that somebody who picks a view and then a pixel near its middle picks
-            this Gaussian, shape (N,); 0 for those that few views see or that are not opaque.
+        seed_weight: Weight for drawing seeds, larger near image centres, shape (N,); 0 for
+            Gaussians that are not visible or not opaque.
         up: Unit vector, shape (3,).
         near: Near plane in world units.
     """
 
     cameras: list[Camera]
-    shares: np.ndarray
-    focus: np.ndarray
+    pixel_share: np.ndarray
+    seed_weight: np.ndarray
     up: np.ndarray
     near: float = NEAR
 
@@ -66,10 +68,10 @@ class Region:
     """A compact region and its surroundings.
 
     Attributes:
-        rows: Indices of its Gaussians, those nearest to the seed first.
+        rows: Indices of its Gaussians, nearest to the seed first.
         ring: Indices of the Gaussians around it.
         center: Median of its centres, shape (3,).
-        radius: Distance from there within which 90 % of its centres lie.
+        radius: Distance from the center that contains 90 % of its centres.
         towards: Unit vector to the cameras that see it, shape (3,).
     """
 
@@ -80,53 +82,58 @@ class Region:
     towards: np.ndarray
 
 
-def look(gaussians: Gaussians, cameras: Sequence[Camera], *, near: float = NEAR) -> Sight:
-    """Look at a scene through some of its cameras.
-
-    Args:
-        gaussians: N Gaussians.
-        cameras: All cameras; the level of the horizon is taken from all of them.
-        near: Near plane in world units.
-
-    Returns:
-        What `VIEWS` of them, evenly taken, see.
-    """
-    few = np.unique(np.linspace(0, len(cameras) - 1, min(VIEWS, len(cameras))).astype(int))
-    small = [scaled_down(cameras[view]) for view in few]
-    sums = np.stack(over_views(lambda camera: _weights(gaussians, camera, near), small))
-    shares, middle = np.moveaxis(sums * _sound(gaussians)[None, :, None], -1, 0)
-    often = (shares > 0).mean(axis=0)
-    focus = middle.sum(axis=0) * often**2 * (np.asarray(gaussians.opacities) > 0.5)
-    return Sight(cameras=small, shares=shares, focus=focus, up=mean_up(cameras), near=near)
+def measure_visibility(
+    gaussians: Gaussians, cameras: Sequence[Camera], *, near: float = NEAR
+) -> Visibility:
+    """Measure the visibility of Gaussians from at most `MAX_VIEWS` of the cameras."""
+    chosen = np.unique(np.linspace(0, len(cameras) - 1, min(MAX_VIEWS, len(cameras))).astype(int))
+    small = [scaled_down(cameras[view]) for view in chosen]
+    sums = np.stack(map_views(lambda camera: _blending_weights(gaussians, camera, near), small))
+    share, central = np.moveaxis(sums * usable_rows(gaussians)[None, :, None], -1, 0)
+    seen = (share > 0).mean(axis=0)
+    weight = central.sum(axis=0) * seen**2 * (np.asarray(gaussians.opacities) > 0.5)
+    up = mean_up(cameras)
+    return Visibility(cameras=small, pixel_share=share, seed_weight=weight, up=up, near=near)
 
 
 def scaled_down(camera: Camera) -> Camera:
-    """The camera with an image `WIDTH` pixels wide, unless it is smaller."""
-    return camera.scaled(min(1.0, WIDTH / camera.width))
+    """Camera with an image of at most `VIEW_WIDTH` pixels across."""
+    return camera.scaled(min(1.0, VIEW_WIDTH / camera.width))
 
 
-def over_views(function: Callable[[Camera], Value], cameras: Sequence[Camera]) -> list[Value]:
-    """The values of a function of a view, some views at once."""
+def map_views(function: Callable[[Camera], Value], cameras: Sequence[Camera]) -> list[Value]:
+    """Apply a function to views in parallel threads."""
     with ThreadPoolExecutor(WORKERS) as pool:
-        return list(ahead(pool, function, cameras))
+        return list(bounded_map(pool, function, cameras))
 
 
-def typical_share(shares: np.ndarray) -> float:
-    """The median share of the pixels among the views that see something, 0 if none does."""
-    seeing = shares[shares >= VISIBLE]
-    return float(np.median(seeing)) if seeing.size else 0.0
+def visible_shares(
+    gaussians: Gaussians, cameras: Sequence[Camera], labels: np.ndarray, *, near: float
+) -> np.ndarray:
+    """Share of the pixels of each view that are tampered, shape (V,)."""
+
+    def share(camera: Camera) -> float:
+        return float(truth_mask(gaussians, camera, labels, near=near).mean())
+
+    return np.array(map_views(share, cameras), np.float64)
 
 
-def pick(sight: Sight, count: int, rng: np.random.Generator) -> np.ndarray:
-    """Rows of Gaussians that the cameras look at, drawn by `Sight.focus`, at most `count`."""
-    count = min(count, int(np.count_nonzero(sight.focus)))
-    chances = sight.focus.astype(np.float64)
-    return rng.choice(len(chances), count, replace=False, p=chances / chances.sum())
+def median_visible_share(shares: np.ndarray) -> float:
+    """Median share of the pixels over the views in which something is visible, else 0."""
+    visible = shares[shares >= VISIBLE_SHARE]
+    return float(np.median(visible)) if visible.size else 0.0
 
 
-def grow(
+def draw_seeds(visibility: Visibility, count: int, rng: np.random.Generator) -> np.ndarray:
+    """Draw at most `count` different rows by `Visibility.seed_weight`."""
+    count = min(count, int(np.count_nonzero(visibility.seed_weight)))
+    weights = visibility.seed_weight.astype(np.float64)
+    return rng.choice(len(weights), count, replace=False, p=weights / weights.sum())
+
+
+def grow_region(
     gaussians: Gaussians,
-    sight: Sight,
+    visibility: Visibility,
     seed: int | np.integer,
     size: float,
     *,
@@ -136,39 +143,41 @@ def grow(
 
     Args:
         gaussians: N Gaussians.
-        sight: What the cameras see of them.
-        seed: Row of the Gaussian to begin with.
+        visibility: Visibility of these Gaussians from the cameras.
+        seed: Row of the first Gaussian.
         size: Median share of the pixels in the views that see the region.
-        contrast: How much farther apart Gaussians of different colours count, so that a region
-            ends rather at the edge of a thing: a step is (1 + contrast * difference in RGB) long.
+        contrast: Weight of colour differences, which makes regions end at the edges of objects: an
+            edge of the graph has its length times (1 + contrast * difference in RGB).
 
     Returns:
-        The region; smaller than asked for if what hangs together with the seed is.
+        The region; smaller than requested if the connected part of the graph is.
     """
     means = np.asarray(gaussians.means, np.float64)
-    sound = np.flatnonzero(_sound(gaussians))
-    away = np.linalg.norm(means[sound] - means[seed], axis=1)
-    order = np.argsort(away, kind="stable")
-    near, away = sound[order], away[order]
-    # Only a ball with room for the region is made a graph of, whatever the size of the scene.
-    near = near[away <= BALL * away[_enough(sight.shares[:, near], size) - 1]]
-    distance = _along_graph(means[near], _plain_colors(gaussians, near), contrast)
+    usable = np.flatnonzero(usable_rows(gaussians))
+    radius = np.linalg.norm(means[usable] - means[seed], axis=1)
+    order = np.argsort(radius, kind="stable")
+    near, radius = usable[order], radius[order]
+    # The graph covers only a ball with room for the region, whatever the size of the scene.
+    last = _rows_to_cover(visibility.pixel_share[:, near], size) - 1
+    near = near[radius <= BALL_REACH * radius[last]]
+    colors = np.clip(0.5 + Y0 * np.asarray(gaussians.sh)[near, 0], 0, 1)
+    distance = _graph_distances(means[near], colors, contrast)
     order = np.argsort(distance, kind="stable")[: np.isfinite(distance).sum()]
     near, distance = near[order], distance[order]
-    count = _enough(sight.shares[:, near], size)
+    count = _rows_to_cover(visibility.pixel_share[:, near], size)
     rows = near[:count]
     center = np.median(means[rows], axis=0)
     return Region(
         rows=rows,
-        ring=near[count:][distance[count:] <= RING * distance[count - 1]],
+        ring=near[count:][distance[count:] <= RING_REACH * distance[count - 1]],
         center=center,
         radius=float(np.quantile(np.linalg.norm(means[rows] - center, axis=1), 0.9)),
-        towards=_towards(sight, rows, center),
+        towards=_direction_to_cameras(visibility, rows, center),
     )
 
 
-def _weights(gaussians: Gaussians, camera: Camera, near: float) -> np.ndarray:
-    """Shares of the pixels of each Gaussian, in all and around the middle, shape (N, 2)."""
+def _blending_weights(gaussians: Gaussians, camera: Camera, near: float) -> np.ndarray:
+    """Share of the pixels per Gaussian, over the image and weighted to its centre, (N, 2)."""
     rows, columns = np.indices((camera.height, camera.width)) + 0.5
     off = np.hypot(2 * columns / camera.width - 1, 2 * rows / camera.height - 1)
     maps = np.stack([np.ones_like(off), np.exp(-2 * off**2)], axis=-1) / off.size
@@ -176,24 +185,16 @@ def _weights(gaussians: Gaussians, camera: Camera, near: float) -> np.ndarray:
     return np.asarray(accumulate(view, jnp.asarray(maps, jnp.float32)))
 
 
-def _sound(gaussians: Gaussians) -> np.ndarray:
-    return ~np.any(list(invalid_rows(gaussians).values()), axis=0)
-
-
-def _plain_colors(gaussians: Gaussians, rows: np.ndarray) -> np.ndarray:
-    return np.clip(0.5 + Y0 * np.asarray(gaussians.sh)[rows, 0], 0, 1)
-
-
-def _enough(shares: np.ndarray, size: float) -> int:
-    """How many of these Gaussians, in their order, cover a share of the pixels; else all."""
+def _rows_to_cover(shares: np.ndarray, size: float) -> int:
+    """Number of leading Gaussians that cover a share of the pixels; all if they do not."""
     counts = np.unique(np.geomspace(1, shares.shape[1], 120).astype(int))
     covered = np.cumsum(shares, axis=1, dtype=np.float64)[:, counts - 1]
-    reached = [typical_share(column) >= size for column in covered.T]
+    reached = [median_visible_share(column) >= size for column in covered.T]
     return int(counts[np.argmax(reached)]) if any(reached) else shares.shape[1]
 
 
-def _along_graph(means: np.ndarray, colors: np.ndarray, contrast: float) -> np.ndarray:
-    """Length of the shortest way from the first point to each over neighbours, shape (M,)."""
+def _graph_distances(means: np.ndarray, colors: np.ndarray, contrast: float) -> np.ndarray:
+    """Length of the shortest path from the first point to each in the graph, shape (M,)."""
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import dijkstra
     from scipy.spatial import KDTree
@@ -202,20 +203,22 @@ def _along_graph(means: np.ndarray, colors: np.ndarray, contrast: float) -> np.n
     if count == 1:
         return np.zeros(1)
     lengths, ends = KDTree(means).query(means, k=k + 1, workers=-1)
-    steps = np.linalg.norm(colors[ends] - colors[:, None], axis=-1)
-    # A step of no length would be no edge at all in a sparse matrix.
-    lengths = np.maximum(lengths * (1 + contrast * steps), 1e-12)
+    differences = np.linalg.norm(colors[ends] - colors[:, None], axis=-1)
+    # A sparse matrix would drop an edge of length 0.
+    lengths = np.maximum(lengths * (1 + contrast * differences), 1e-12)
     starts = np.repeat(np.arange(count), k + 1)
     graph = csr_array((lengths.ravel(), (starts, ends.ravel())), shape=(count, count))
     return dijkstra(graph, directed=False, indices=0)
 
 
-def _towards(sight: Sight, rows: np.ndarray, center: np.ndarray) -> np.ndarray:
-    """Unit vector from a place to the cameras, weighted by what they see of these rows."""
-    weights = sight.shares[:, rows].sum(axis=1) + 1e-9
-    directions = np.stack([camera.center for camera in sight.cameras]) - center
+def _direction_to_cameras(
+    visibility: Visibility, rows: np.ndarray, center: np.ndarray
+) -> np.ndarray:
+    """Unit vector to the cameras, weighted by the pixels that these rows fill in them."""
+    weights = visibility.pixel_share[:, rows].sum(axis=1) + 1e-9
+    directions = np.stack([camera.center for camera in visibility.cameras]) - center
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     mean = weights @ directions
     length = np.linalg.norm(mean)
-    # Cameras all around cancel out to nothing that could be called a side.
-    return mean / length if length > 1e-3 * weights.sum() else sight.up
+    # Directions to cameras on all sides cancel out.
+    return mean / length if length > 1e-3 * weights.sum() else visibility.up

@@ -1,11 +1,9 @@
-"""A made scene with exact truth: a furnished room, a foreign object on its table, and cameras.
+"""A made scene with exact truth: a furnished room with a foreign object, and cameras.
 
-It stands in for a trained scene where none can be shipped: the demo and the tests run on it. The
-object has the statistics of another training (`FOREIGN`), as in an edit that pastes an object cut
-from another model, and the rows are shuffled, so neither order nor position in the file tells.
-
-Metres, y down, floor at y = 0. The textures are images that ship inside scikit-image, so nothing is
-downloaded.
+The demo and the tests run on it, since no trained scene can be shipped. The object has the
+statistics of another training, like an object cut from another model, and the rows are shuffled, so
+that neither order nor position in the file reveals it. Metres, y down, floor at y = 0. Textures are
+images of scikit-image, so nothing is downloaded.
 """
 
 import dataclasses
@@ -14,23 +12,26 @@ import jax
 import numpy as np
 
 from gsc_jax.benchmark.furniture import TABLE, room_parts, vase_parts
-from gsc_jax.benchmark.surfaces import UP, Habits, made_of
+from gsc_jax.benchmark.surfaces import UP, TrainingStatistics, sample_parts
 from gsc_jax.render.orbit import look_at
 from gsc_jax.scene import Camera, Gaussians
+from gsc_jax.scene.camera import intrinsics
 
 OBJECT_FOOT = np.array([0.15, -TABLE, 0.05])
 FLOATER_SHARE = 0.03
-FOREIGN = Habits(overlap=0.75, thickness=0.03, spread=0.4, opacity=(2.4, 1.8), gloss=0.12, lit=0.15)
+OBJECT_STATISTICS = TrainingStatistics(
+    overlap=0.75, thickness=0.03, spread=0.4, opacity=(2.4, 1.8), gloss=0.12, lit=0.15
+)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class MadeScene:
-    """A scene with an object pasted in, and the truth.
+    """A scene with a pasted object, and its truth.
 
     Attributes:
         gaussians: N Gaussians, rows shuffled.
-        cameras: Views for the method.
-        heldout_cameras: Other views, for the metrics.
+        cameras: Cameras for the estimator.
+        heldout_cameras: Other cameras, for the metrics.
         labels: True where a Gaussian belongs to the pasted object, shape (N,).
     """
 
@@ -41,60 +42,43 @@ class MadeScene:
 
 
 def make_room(*, seed: int = 0, count: int = 50_000) -> Gaussians:
-    """A furnished, textured room.
-
-    Args:
-        seed: What the sampling and the books on the shelf follow.
-        count: Number of Gaussians N, floaters included.
-
-    Returns:
-        N Gaussians of degree 1.
+    """Make a furnished, textured room of `count` Gaussians of degree 1.
 
     Raises:
         InputError: if the installed scikit-image lacks its images.
     """
     rng = np.random.default_rng(seed)
     floaters = round(count * FLOATER_SHARE)
-    surfaces = made_of(room_parts(rng), count - floaters, habits=Habits(), rng=rng)
+    statistics = TrainingStatistics()
+    surfaces = sample_parts(room_parts(rng), count - floaters, statistics=statistics, rng=rng)
     return concatenate([surfaces, _floaters(surfaces, floaters, rng)])
 
 
 def make_object(*, seed: int = 0, count: int = 5_000) -> Gaussians:
-    """A vase with two handles and a finial, 0.6 m high, that stands on the origin.
-
-    Args:
-        seed: What the sampling follows.
-        count: Number of Gaussians N.
-
-    Returns:
-        N Gaussians of degree 1 with the statistics of another training than the room's.
+    """Make a vase, 0.6 m high, that stands on the origin, of `count` Gaussians of degree 1.
 
     Raises:
         InputError: if the installed scikit-image lacks its images.
     """
     rng = np.random.default_rng([seed, 1])
-    return made_of(vase_parts(), count, habits=FOREIGN, rng=rng)
+    return sample_parts(vase_parts(), count, statistics=OBJECT_STATISTICS, rng=rng)
 
 
 def room_cameras(
     n: int, *, width: int = 480, height: int = 360, seed: int = 0, prefix: str = "room"
 ) -> list[Camera]:
-    """Cameras of somebody walking once around the table, looking mostly at it.
+    """Make n hand-held cameras on a walk around the table; every eighth looks along the wall.
 
     Args:
         n: Number of cameras.
         width: Image width in pixels.
         height: Image height in pixels.
-        seed: Where the walk starts and how the hand shakes.
-        prefix: What the names start with: `room_000` and so on.
-
-    Returns:
-        n cameras inside the room. Every eighth looks along the wall instead of at the table.
+        seed: Seed of the start of the walk and of the shake of the hand.
+        prefix: Prefix of the names: `room_000` and so on.
     """
     rng = np.random.default_rng([seed, 2])
     turns = 2 * np.pi * (np.arange(n) + rng.random() + rng.uniform(-0.3, 0.3, n)) / max(n, 1)
-    focal = 0.75 * width
-    intrinsics = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]], np.float32)
+    K = intrinsics(0.75 * width, width, height)
     views = []
     for i, turn in enumerate(turns):
         position = np.array([1.7 * np.cos(turn), -rng.uniform(1.25, 1.75), 1.5 * np.sin(turn)])
@@ -102,7 +86,7 @@ def room_cameras(
         target = OBJECT_FOOT + 0.15 * UP + aside + rng.normal(0, [0.2, 0.1, 0.2])
         views.append(look_at(position, target, UP))
     return [
-        Camera(viewmat=view, K=intrinsics, width=width, height=height, name=f"{prefix}_{i:03d}")
+        Camera(viewmat=view, K=K, width=width, height=height, name=f"{prefix}_{i:03d}")
         for i, view in enumerate(views)
     ]
 
@@ -116,18 +100,15 @@ def tampered_room(
     width: int = 480,
     height: int = 360,
 ) -> MadeScene:
-    """The room with the object on its table, a tenth of all Gaussians.
+    """Make the room with the object, a tenth of all Gaussians, on its table.
 
     Args:
-        seed: What everything follows.
+        seed: Seed of scene, object and cameras.
         count: Number of Gaussians N.
-        views: Number of cameras for the method.
+        views: Number of cameras for the estimator.
         heldout: Number of other cameras, for the metrics.
         width: Image width in pixels.
         height: Image height in pixels.
-
-    Returns:
-        The scene, its cameras and the truth.
 
     Raises:
         InputError: if the installed scikit-image lacks its images.
@@ -148,12 +129,12 @@ def tampered_room(
 
 
 def concatenate(scenes: list[Gaussians]) -> Gaussians:
-    """The Gaussians of several scenes of one degree, in order."""
+    """Concatenate scenes of one degree."""
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *scenes)
 
 
 def _floaters(surfaces: Gaussians, count: int, rng: np.random.Generator) -> Gaussians:
-    """Fuzzy, faint Gaussians near surfaces and in the air, as training leaves them."""
+    """Large faint Gaussians near surfaces and in the air, as training leaves them."""
     near = surfaces.take(rng.integers(len(surfaces), size=count))
     shift = rng.normal(0, 0.2, (count, 3)) * rng.random((count, 1))
     size = np.log(rng.lognormal(np.log(0.04), 0.5, (count, 1))) + rng.normal(0, 0.4, (count, 3))

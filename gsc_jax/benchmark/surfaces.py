@@ -1,17 +1,16 @@
-"""Surfaces to Gaussians: what training would leave on a textured quad, box or solid of revolution.
+"""Gaussians on textured surfaces: quads, boxes and solids of revolution.
 
-`quad`, `box` and `revolve` give surfaces, a `Part` adds a texture and `made_of` shares a number of
-Gaussians among parts. They are flat, lie on the surface, are sized after the spacing to their
-neighbours with a log-normal spread and mostly opaque with a tail; quaternions have any sign and
-length, colours a weak dependence on the view. `Habits` holds these statistics, so that two models
-can differ in them. Points lie on a golden lattice, which stays even at any stretch of a surface.
-
-Metres, y down.
+A `Part` is a surface with a texture; `sample_parts` distributes a number of Gaussians over parts.
+The Gaussians are flat, lie on the surface, have sizes of about the spacing with a log-normal
+spread, are mostly opaque with a tail, and have quaternions of any sign and length and a weak view
+dependence of colour. `TrainingStatistics` holds these distributions, so that two models can differ
+in them. Points form a golden lattice, which stays even for any aspect ratio. Metres, y down.
 """
 
 import dataclasses
 import functools
 import importlib.resources
+import io
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -29,17 +28,14 @@ UP, RIGHT, FRONT = np.array([0, -1.0, 0]), np.array([1.0, 0, 0]), np.array([0, 0
 
 
 class Surface(NamedTuple):
-    """An area and a map from (M, 2) coordinates in [0, 1] to points and outward unit normals.
-
-    The map stretches area evenly along the second coordinate, so even coordinates give even points.
-    """
+    """Area, and an area-preserving map of coordinates (M, 2) in [0, 1] to points and normals."""
 
     area: float
     at: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 class Texture(NamedTuple):
-    """An image that ships inside scikit-image, how often it repeats, and what multiplies it."""
+    """An image file of scikit-image, its number of repetitions, and a factor of its colour."""
 
     image: str
     tint: tuple[float, float, float] = (1.0, 1.0, 1.0)
@@ -48,7 +44,7 @@ class Texture(NamedTuple):
 
 
 class Part(NamedTuple):
-    """A surface with its texture; `detail` is its share of Gaussians per area."""
+    """A surface with its texture; `detail` is its relative number of Gaussians per area."""
 
     surface: Surface
     texture: Texture
@@ -56,16 +52,16 @@ class Part(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Habits:
-    """What a training leaves behind: statistics of the Gaussians on a surface.
+class TrainingStatistics:
+    """Distributions of the parameters of the Gaussians that a training leaves on a surface.
 
     Attributes:
         overlap: Median standard deviation in the surface, in units of the spacing.
         thickness: Median standard deviation across the surface, in the same unit.
         spread: Standard deviation of the log scales.
         opacity: Mean and standard deviation of the logit opacities; a tail is added below.
-        gloss: How much brighter a surface looks head-on than at a grazing angle.
-        lit: How much of the colour follows the lamp of the room.
+        gloss: Difference in brightness between frontal and grazing views.
+        lit: Share of the colour that follows the lamp of the room.
     """
 
     overlap: float = 0.62
@@ -77,7 +73,7 @@ class Habits:
 
 
 def quad(corner: Vector, u: np.ndarray, v: np.ndarray) -> Surface:
-    """A parallelogram; seen from its front, u runs to the right and v down."""
+    """Parallelogram; seen from its front, u points right and v down."""
     cross = np.cross(v, u)
     area = float(np.linalg.norm(cross))
 
@@ -88,19 +84,19 @@ def quad(corner: Vector, u: np.ndarray, v: np.ndarray) -> Surface:
 
 
 def panel(center: Vector, normal: np.ndarray, width: float, height: float) -> Surface:
-    """An upright rectangle that faces along a horizontal normal."""
+    """Upright rectangle that faces along a horizontal normal."""
     right, down = width * np.cross(UP, normal), -height * UP
     return quad(np.asarray(center) - right / 2 - down / 2, right, down)
 
 
 def flat(center: Vector, width: float, depth: float) -> Surface:
-    """A level rectangle that faces up."""
+    """Level rectangle that faces up."""
     right, near = width * RIGHT, depth * FRONT
     return quad(np.asarray(center) - right / 2 - near / 2, right, near)
 
 
 def box(foot: Vector, width: float, height: float, depth: float) -> list[Surface]:
-    """A box that stands on the centre of its lower face, which is left out."""
+    """Faces of a box that stands on the centre of its lower face, which is omitted."""
     foot = np.asarray(foot)
     sides = [(RIGHT, width, depth), (-RIGHT, width, depth), (FRONT, depth, width)]
     sides.append((-FRONT, depth, width))
@@ -112,15 +108,12 @@ def box(foot: Vector, width: float, height: float, depth: float) -> list[Surface
 
 
 def revolve(profile: np.ndarray, foot: Vector, *, axis: int = 1) -> Surface:
-    """A surface of revolution about an axis through a point.
+    """Surface of revolution about an axis through a point.
 
     Args:
         profile: Radius and height of the curve, upwards for an outside, shape (P, 2).
-        foot: Where height 0 lies.
-        axis: Index of the axis of revolution; heights count against it, so up for the y axis.
-
-    Returns:
-        The surface; the first coordinate goes around it.
+        foot: Point at height 0.
+        axis: Index of the axis of revolution; heights are negative coordinates along it.
     """
     pieces = np.diff(profile, axis=0)
     middle = (profile[1:, 0] + profile[:-1, 0]) / 2
@@ -143,14 +136,14 @@ def revolve(profile: np.ndarray, foot: Vector, *, axis: int = 1) -> Surface:
 
 
 def ellipsoid(center: Vector, radius: float, height: float) -> Surface:
-    """An ellipsoid with a vertical axis, `height` from pole to pole."""
+    """Ellipsoid with a vertical axis, `height` from pole to pole."""
     angle = np.linspace(-np.pi / 2, np.pi / 2, 65)
     profile = np.stack([radius * np.cos(angle), height / 2 * np.sin(angle)], axis=-1)
     return revolve(profile, center)
 
 
 def cylinder(foot: Vector, bottom: float, top: float, height: float) -> Surface:
-    """A cylinder or cone of two radii, closed at the top."""
+    """Cylinder or cone of two radii, closed at the top."""
     side = np.stack([np.linspace(bottom, top, 33), np.linspace(0, height, 33)], axis=-1)
     lid = np.stack([np.linspace(top, 0, 9)[1:], np.full(8, height)], axis=-1)
     return revolve(np.concatenate([side, lid]), foot)
@@ -158,8 +151,8 @@ def cylinder(foot: Vector, bottom: float, top: float, height: float) -> Surface:
 
 @functools.cache
 def _image(name: str, block: int = 1) -> np.ndarray:
-    """RGB in [0, 1] of a file inside scikit-image, blocks of texels averaged."""
-    import imageio.v3 as iio
+    """RGB in [0, 1] of an image file of scikit-image, averaged over blocks of texels."""
+    from PIL import Image
     from skimage.transform import downscale_local_mean
 
     if block > 1:
@@ -169,19 +162,14 @@ def _image(name: str, block: int = 1) -> np.ndarray:
         raise InputError(
             f"{path}: texture not found; reinstall scikit-image >= 0.24 from its wheel"
         )
-    image = iio.imread(path.read_bytes()).astype(np.float32) / 255
+    image = np.asarray(Image.open(io.BytesIO(path.read_bytes())), np.float32) / 255
     return np.repeat(image[..., None], 3, -1) if image.ndim == 2 else image[..., :3]
 
 
 def textured(texture: Texture, uv: np.ndarray) -> np.ndarray:
-    """Colours of a texture at even coordinates, averaged over blocks so that nothing aliases.
+    """Colours (M, 3) of a texture at coordinates (M, 2) in [0, 1], column then row.
 
-    Args:
-        texture: The texture.
-        uv: Coordinates in [0, 1], column then row, shape (M, 2).
-
-    Returns:
-        RGB in [0, 1], shape (M, 3).
+    The texture is averaged over blocks, so that it does not alias at evenly spread coordinates.
     """
     from scipy.ndimage import map_coordinates
 
@@ -198,19 +186,10 @@ def textured(texture: Texture, uv: np.ndarray) -> np.ndarray:
     return np.clip((mean + texture.contrast * (rgb - mean)) * texture.tint, 0, 1)
 
 
-def made_of(
-    parts: Sequence[Part], count: int, *, habits: Habits, rng: np.random.Generator
+def sample_parts(
+    parts: Sequence[Part], count: int, *, statistics: TrainingStatistics, rng: np.random.Generator
 ) -> Gaussians:
-    """Gaussians on the surfaces of parts.
-
-    Args:
-        parts: What is to be covered; each gets Gaussians by area times detail.
-        count: Number of Gaussians N.
-        habits: Their statistics.
-        rng: Source of randomness.
-
-    Returns:
-        N Gaussians of degree 1, in the order of the parts.
+    """Cover parts with `count` Gaussians of degree 1, in the order of the parts.
 
     Raises:
         ValueError: if the count is not positive.
@@ -220,46 +199,36 @@ def made_of(
         raise ValueError(f"count of Gaussians must be at least 1, got {count}")
     shares = np.cumsum([part.surface.area * part.detail for part in parts])
     counts = np.diff(np.rint(shares / shares[-1] * count).astype(int), prepend=0)
-    covered = [_cover(p, n, habits, rng) for p, n in zip(parts, counts, strict=True) if n]
-    return surfels(*map(np.concatenate, zip(*covered, strict=True)), habits=habits, rng=rng)
+    covered = [_cover(p, n, statistics, rng) for p, n in zip(parts, counts, strict=True) if n]
+    return _surfels(
+        *map(np.concatenate, zip(*covered, strict=True)), statistics=statistics, rng=rng
+    )
 
 
 def _cover(
-    part: Part, count: int, habits: Habits, rng: np.random.Generator
+    part: Part, count: int, statistics: TrainingStatistics, rng: np.random.Generator
 ) -> tuple[np.ndarray, ...]:
-    """Points, normals, colours and spacings of a part."""
+    """Points, normals, colours and spacings on a part."""
     index = np.arange(count)
     uv = np.stack([(index * GOLDEN + rng.random()) % 1, (index + 0.5) / count], axis=-1)
     points, normals = part.surface.at(uv)
     towards = LAMP - points
     towards /= np.linalg.norm(towards, axis=1, keepdims=True)
     lambert = np.clip((normals * towards).sum(axis=1, keepdims=True), 0, 1)
-    colors = textured(part.texture, uv) * (1 - habits.lit + habits.lit * (0.2 + lambert))
+    colors = textured(part.texture, uv) * (1 - statistics.lit + statistics.lit * (0.2 + lambert))
     return points, normals, colors, np.full(count, np.sqrt(part.surface.area / count))
 
 
-def surfels(
+def _surfels(
     points: np.ndarray,
     normals: np.ndarray,
     colors: np.ndarray,
     spacing: np.ndarray,
     *,
-    habits: Habits,
+    statistics: TrainingStatistics,
     rng: np.random.Generator,
 ) -> Gaussians:
-    """Flat Gaussians of degree 1 at points of a surface.
-
-    Args:
-        points: Where they lie, shape (N, 3).
-        normals: Directions out of the surface, shape (N, 3).
-        colors: RGB in [0, 1], shape (N, 3).
-        spacing: Distance to the neighbours, shape (N,).
-        habits: Statistics of the rest.
-        rng: Source of randomness.
-
-    Returns:
-        N Gaussians.
-    """
+    """Flat Gaussians of degree 1 at points (N, 3) of a surface, with RGB colours in [0, 1]."""
     from scipy.spatial.transform import Rotation
 
     count = len(points)
@@ -267,18 +236,20 @@ def surfels(
     tangents = np.cross(normals, rng.normal(size=(count, 3)))
     tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
     frames = np.stack([tangents, np.cross(normals, tangents), normals], axis=-1)
-    # Files hold quaternions as the optimiser left them: either sign, any length.
+    # As an optimiser leaves them, quaternions have either sign and any length.
     length = rng.choice([-1, 1], (count, 1)) * rng.lognormal(0, 0.3, (count, 1))
-    size = np.log(spacing)[:, None] + np.log([habits.overlap, habits.overlap, habits.thickness])
+    size = np.log(spacing)[:, None] + np.log(
+        [statistics.overlap, statistics.overlap, statistics.thickness]
+    )
     faint = rng.random(count) < 0.08
-    logits = np.where(faint, rng.normal(-0.5, 1.2, count), rng.normal(*habits.opacity, count))
-    sheen = habits.gloss / (np.sqrt(3) * Y0) * normals[:, [1, 2, 0]] * [1, -1, 1]
+    logits = np.where(faint, rng.normal(-0.5, 1.2, count), rng.normal(*statistics.opacity, count))
+    sheen = statistics.gloss / (np.sqrt(3) * Y0) * normals[:, [1, 2, 0]] * [1, -1, 1]
     sh = np.concatenate([(colors[:, None] - 0.5) / Y0, np.repeat(sheen[..., None], 3, -1)], axis=1)
     sh[:, 1:] += rng.normal(0, 0.03, (count, 3, 3))
     jitter = (frames[..., :2] @ rng.normal(size=(count, 2, 1)))[..., 0]
     gaussians = Gaussians(
         means=points + 0.12 * spacing[:, None] * jitter,
-        log_scales=size + rng.normal(0, habits.spread, (count, 3)),
+        log_scales=size + rng.normal(0, statistics.spread, (count, 3)),
         quats=length * Rotation.from_matrix(frames).as_quat(scalar_first=True),
         logit_opacities=logits,
         sh=sh,

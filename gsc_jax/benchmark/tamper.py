@@ -1,11 +1,10 @@
-"""Real scenes tampered with at the level of Gaussians, so that the truth is exact.
+"""Edits of a scene at the level of Gaussians, with exact truth.
 
-The three edits of the paper: an object from elsewhere is stood into the scene (incorporation), a
-compact region is given other colours, texture, size or shape (modification), a region is taken away
-and the hole closed with copies of its surroundings, which then are the tampered part (removal).
-Everything happens where the cameras look. An edit counts only if enough views show it at about the
-size that was asked for, and a modification or removal only if the colours of pixels change;
-otherwise another place is tried.
+The three edits of the paper: paste an object (incorporation), change the colour, texture, size or
+shape of a compact region (modification), or remove a region and fill the hole with copies of its
+surroundings, which are the tampered part (removal). Edits lie where the cameras look. An edit is
+accepted if enough views show it at about the requested size and, for a modification or removal, if
+it changes the colour of pixels; otherwise another place is tried.
 """
 
 import dataclasses
@@ -14,54 +13,49 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from gsc_jax.benchmark.changing import modified
-from gsc_jax.benchmark.draft import Draft, Unsuitable, visible_shares
-from gsc_jax.benchmark.filling import removed
+from gsc_jax.benchmark.edits import EditRejected, ProposedEdit
+from gsc_jax.benchmark.incorporation import paste_object
 from gsc_jax.benchmark.metrics import truth_mask
-from gsc_jax.benchmark.pasting import incorporated, set_upright, transformed
+from gsc_jax.benchmark.modification import modify_region
 from gsc_jax.benchmark.regions import (
-    CONTRAST,
-    VISIBLE,
-    Sight,
-    grow,
-    look,
-    over_views,
-    pick,
+    VISIBLE_SHARE,
+    Visibility,
+    map_views,
+    measure_visibility,
+    median_visible_share,
     scaled_down,
-    typical_share,
+    visible_shares,
 )
+from gsc_jax.benchmark.removal import remove_region
 from gsc_jax.render.projection import NEAR
 from gsc_jax.render.visibility import check_views
 from gsc_jax.scene import Camera, Gaussians, InputError
 from gsc_jax.splat import render
 
-__all__ = ["EDITS", "Edit", "Tampered", "cut_object", "tamper", "transformed"]
+__all__ = ["EDITS", "Edit", "Tampered", "tamper", "visibility_of"]
 
 Edit = Literal["incorporation", "modification", "removal"]
 EDITS: tuple[Edit, ...] = get_args(Edit)
 
 ATTEMPTS = 8
-THINGS = 5
-"""Regions from which an object to be cut is chosen, and how much of the views it fills."""
-THING_SIZE = 0.06
-MIN_VIEWS = 0.5
-"""The share of the views that must see an edit."""
-MIN_DIFFERENCE = 0.03
-"""Mean absolute difference in RGB that a change or removal must make where it is seen."""
-SIZE_FACTOR = 2.5
-"""An edit may be larger or smaller than it was wanted by this factor."""
+MIN_VISIBLE_VIEWS = 0.5
+"""Least share of the views in which an edit must be visible."""
+MIN_COLOUR_CHANGE = 0.03
+"""Least mean absolute difference in RGB of a modification or removal where it is visible."""
+SIZE_TOLERANCE = 2.5
+"""Largest ratio of the size of an edit to the requested size, and of its inverse."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Tampered:
-    """A tampered scene and the truth.
+    """A tampered scene and its truth.
 
     Attributes:
         gaussians: N Gaussians, rows shuffled.
         labels: True where a Gaussian was pasted, changed or filled in, shape (N,) bool.
         edit: One of `EDITS`.
         description: What was done, in a sentence.
-        visible: The share of the pixels of each camera that show something tampered, shape (V,).
+        visible: Share of the pixels of each camera that are tampered, shape (V,).
     """
 
     gaussians: Gaussians
@@ -81,26 +75,50 @@ def tamper(
     near: float = NEAR,
     seed: int = 0,
 ) -> Tampered:
-    """Tamper with a scene where its cameras look.
+    """Edit a scene where its cameras look.
 
     Args:
         gaussians: The authentic scene.
-        cameras: Its cameras, V of them, mostly held level: the vertical is taken from them.
+        cameras: Its V cameras, mostly held level: the vertical is the mean of their up vectors.
         edit: One of `EDITS`.
-        donor: The object to paste, upright with up = -y, of any place, scale and degree; for an
-            incorporation, and only for it.
-        size: Median share of the pixels that the edit is to cover in the views that see it.
+        donor: Object to paste, upright with up = -y, at any position, scale and degree; required
+            for an incorporation and refused otherwise.
+        size: Median share of the pixels that the edit should cover in the views that see it.
         near: Near plane in world units.
-        seed: What chance follows.
+        seed: Seed of the random choices.
 
     Returns:
-        The tampered scene. Authentic rows are those of the original, bit by bit.
+        The tampered scene. Authentic rows equal those of the original to the bit.
 
     Raises:
-        ValueError: if the edit is unknown, the size is not in (0, 0.5], or the donor is missing
-            or of no use.
+        ValueError: if the edit is unknown, the size is not in (0, 0.5], or the donor is missing,
+            superfluous or unusable.
         InputError: if the cameras do not see the scene, or no attempt gave a visible edit.
     """
+    _check_arguments(edit, donor, size)
+    # The count enters the seed, so that one seed gives different kinds of edit in each scene.
+    rng = np.random.default_rng([seed, EDITS.index(edit), len(gaussians)])
+    visibility = visibility_of(gaussians, cameras, near=near)
+    reasons = []
+    for _ in range(ATTEMPTS):
+        try:
+            if donor is not None:
+                proposed = paste_object(gaussians, visibility, donor, size, rng)
+            else:
+                make = modify_region if edit == "modification" else remove_region
+                proposed = make(gaussians, visibility, size, rng)
+            visible = _checked(proposed, cameras, visibility, size)
+        except EditRejected as reason:
+            reasons.append(str(reason))
+            continue
+        return _shuffled(proposed, edit, visible, rng)
+    raise InputError(
+        f"no {edit} of {100 * size:.3g} % of the pixels came out in {ATTEMPTS} attempts "
+        f"({'; '.join(list(dict.fromkeys(reasons))[:3])}); try another size, seed or set of cameras"
+    )
+
+
+def _check_arguments(edit: str, donor: Gaussians | None, size: float) -> None:
     if edit not in EDITS:
         raise ValueError(f"edit must be one of {', '.join(EDITS)}, got {edit!r}")
     if not 0 < size <= 0.5:
@@ -108,110 +126,64 @@ def tamper(
     if (donor is not None) != (edit == "incorporation"):
         need = "needs a donor to paste" if donor is None else "has no use for a donor"
         raise ValueError(f"{edit} {need}")
+
+
+def visibility_of(
+    gaussians: Gaussians, cameras: Sequence[Camera], *, near: float = NEAR
+) -> Visibility:
+    """Measure visibility; raise InputError if the cameras see nothing that can be edited."""
     check_views(gaussians, cameras, near=near)
-    # With the count, so that one seed does not mean one kind of edit in all scenes.
-    rng = np.random.default_rng([seed, EDITS.index(edit), len(gaussians)])
-    sight = _looked(gaussians, cameras, near)
-    tried = []
-    for _ in range(ATTEMPTS):
-        try:
-            if donor is not None:
-                draft = incorporated(gaussians, sight, donor, size, rng)
-            else:
-                make = modified if edit == "modification" else removed
-                draft = make(gaussians, sight, size, rng)
-            visible = _checked(draft, cameras, sight, size)
-        except Unsuitable as reason:
-            tried.append(str(reason))
-            continue
-        return _shuffled(draft, edit, visible, rng)
-    raise InputError(
-        f"no {edit} of {100 * size:.3g} % of the pixels came out in {ATTEMPTS} attempts "
-        f"({'; '.join(list(dict.fromkeys(tried))[:3])}); try another size, seed or set of cameras"
-    )
-
-
-def cut_object(
-    gaussians: Gaussians, cameras: Sequence[Camera], *, near: float = NEAR, seed: int = 0
-) -> Gaussians:
-    """Cut a compact thing out of a scene, to be pasted into another one.
-
-    Args:
-        gaussians: The scene.
-        cameras: Its cameras, mostly held level.
-        near: Near plane in world units.
-        seed: What chance follows.
-
-    Returns:
-        Of a few regions that the cameras look at the one that is most of a body and least of a
-        sheet; upright with up = -y, its foot at y = 0 and centred in x and z.
-
-    Raises:
-        InputError: if the cameras do not see the scene.
-    """
-    check_views(gaussians, cameras, near=near)
-    rng = np.random.default_rng([seed, len(EDITS)])
-    sight = _looked(gaussians, cameras, near)
-    seeds = pick(sight, THINGS, rng)
-    regions = [grow(gaussians, sight, row, THING_SIZE, contrast=CONTRAST) for row in seeds]
-    things = [gaussians.take(np.sort(region.rows)) for region in regions]
-    return set_upright(max(things, key=_bodiness), sight.up)
-
-
-def _looked(gaussians: Gaussians, cameras: Sequence[Camera], near: float) -> Sight:
-    sight = look(gaussians, cameras, near=near)
-    if not sight.focus.any():
+    visibility = measure_visibility(gaussians, cameras, near=near)
+    if not visibility.seed_weight.any():
         raise InputError("the cameras see nothing opaque near the middle of their images")
-    return sight
+    return visibility
 
 
-def _checked(draft: Draft, cameras: Sequence[Camera], sight: Sight, size: float) -> np.ndarray:
-    """The share of each camera that shows the edit."""
+def _checked(
+    proposed: ProposedEdit, cameras: Sequence[Camera], visibility: Visibility, size: float
+) -> np.ndarray:
+    """Share of the pixels of each camera that show the edit; raise if it is unsuitable."""
     small = [scaled_down(camera) for camera in cameras]
-    visible = visible_shares(draft.gaussians, small, draft.labels, near=sight.near)
-    seen = np.mean(visible >= VISIBLE)
-    if seen < MIN_VIEWS:
-        raise Unsuitable(f"{draft.what}: seen in {seen:.0%} of the views")
-    covers = typical_share(visible)
-    if not 1 / SIZE_FACTOR < covers / size < SIZE_FACTOR:
-        raise Unsuitable(f"{draft.what}: covers {covers:.1%} of the pixels")
-    if draft.original is not None:
-        differs = _difference(draft, draft.original, sight)
-        if differs < MIN_DIFFERENCE:
-            raise Unsuitable(f"{draft.what}: changes the colours by {differs:.3f} only")
+    visible = visible_shares(proposed.gaussians, small, proposed.labels, near=visibility.near)
+    seen = np.mean(visible >= VISIBLE_SHARE)
+    if seen < MIN_VISIBLE_VIEWS:
+        raise EditRejected(f"{proposed.description}: seen in {seen:.0%} of the views")
+    covers = median_visible_share(visible)
+    if not 1 / SIZE_TOLERANCE < covers / size < SIZE_TOLERANCE:
+        raise EditRejected(f"{proposed.description}: covers {covers:.1%} of the pixels")
+    if proposed.original is not None:
+        change = _colour_change(proposed, proposed.original, visibility)
+        if change < MIN_COLOUR_CHANGE:
+            raise EditRejected(f"{proposed.description}: changes the colours by {change:.3f} only")
     return visible
 
 
-def _difference(draft: Draft, original: Gaussians, sight: Sight) -> float:
+def _colour_change(proposed: ProposedEdit, original: Gaussians, visibility: Visibility) -> float:
     """Mean absolute difference in RGB inside the edit, over the views that see it."""
 
-    def differs(camera: Camera) -> float:
-        inside = truth_mask(draft.gaussians, camera, draft.labels, near=sight.near)
-        if inside.mean() < VISIBLE:
+    def change(camera: Camera) -> float:
+        near = visibility.near
+        inside = truth_mask(proposed.gaussians, camera, proposed.labels, near=near)
+        if inside.mean() < VISIBLE_SHARE:
             return np.nan
-        scenes = draft.gaussians, original
-        images = (np.asarray(render(scene, camera, near=sight.near)[0]) for scene in scenes)
+        scenes = proposed.gaussians, original
+        images = (np.asarray(render(scene, camera, near=near)[0]) for scene in scenes)
         return float(np.abs(np.subtract(*images))[inside].mean())
 
-    values = np.array(over_views(differs, sight.cameras[::2]))
+    values = np.array(map_views(change, visibility.cameras[::2]))
     return float(values[np.isfinite(values)].mean()) if np.isfinite(values).any() else 0.0
 
 
-def _shuffled(draft: Draft, edit: str, visible: np.ndarray, rng: np.random.Generator) -> Tampered:
-    order = rng.permutation(len(draft.labels))
-    seeing = np.count_nonzero(visible >= VISIBLE)
+def _shuffled(
+    proposed: ProposedEdit, edit: str, visible: np.ndarray, rng: np.random.Generator
+) -> Tampered:
+    order = rng.permutation(len(proposed.labels))
+    views = f"{np.count_nonzero(visible >= VISIBLE_SHARE)} of {len(visible)} views that see it"
+    covers = f"{median_visible_share(visible):.1%} of the pixels in the median of the {views}"
     return Tampered(
-        gaussians=draft.gaussians.take(order),
-        labels=draft.labels[order],
+        gaussians=proposed.gaussians.take(order),
+        labels=proposed.labels[order],
         edit=edit,
-        description=f"{edit.capitalize()}: {draft.what}; it covers {typical_share(visible):.1%} "
-        f"of the pixels in the median of the {seeing} of {len(visible)} views that see it.",
+        description=f"{edit.capitalize()}: {proposed.description}; it covers {covers}.",
         visible=visible,
     )
-
-
-def _bodiness(thing: Gaussians) -> float:
-    """How thick a thing is for its width: 0 for a sheet, 1 for a ball."""
-    means = np.asarray(thing.means, np.float64)
-    spread = np.linalg.svd(means - means.mean(axis=0), compute_uv=False)
-    return float(spread[-1] / max(spread[0], 1e-12))

@@ -1,1 +1,1 @@
-"""The command line and what people see."""
+"""The command line."""

@@ -1,29 +1,25 @@
-"""The persistent compilation cache: what XLA compiled once, the next process reads."""
+"""Cache folder of the user, and the persistent compilation cache of JAX."""
 
-import os
-import sys
 from pathlib import Path
 
+import platformdirs
+
 MIN_SECONDS = 0.1
-"""What compiles faster is not worth a file."""
+"""Shortest compilation that is stored: reading a file takes a few milliseconds."""
 
 
-def default_cache() -> Path:
-    """Where caches of this user belong."""
-    if sys.platform == "darwin":
-        return Path.home() / "Library" / "Caches" / "gsc_jax"
-    if sys.platform == "win32":
-        return Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local")) / "gsc_jax"
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "gsc_jax"
+def cache_folder() -> Path:
+    """Cache folder of this package for the current user, which need not exist."""
+    return platformdirs.user_cache_path("gsc_jax", appauthor=False)
 
 
-def use_cache(folder: Path | str) -> None:
-    """Let JAX keep and find its compiled functions in a folder.
+def enable_compilation_cache(folder: Path | str) -> None:
+    """Store compiled functions of JAX in a folder and reuse them in later processes.
 
     Changes the configuration of JAX in this process: for programs, not for libraries.
 
     Args:
-        folder: Made when something is written; a folder that cannot be written is a warning of JAX.
+        folder: Created when something is stored; JAX warns if it cannot be written.
     """
     import jax
 

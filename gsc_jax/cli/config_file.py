@@ -1,180 +1,202 @@
-"""`--config`: what a run of `locate` shall be, from a file instead of from who types.
+"""`--config`: options of `locate` and the configuration of its estimator, from a file.
 
 The file has two tables: `command`, the options of `locate` with underscores for dashes, and
-`config`, the configuration of the method, some of whose fields have no flag. The result.json of a
-run is such a file, so a run can be repeated, with something else typed or not. What is typed goes
-before what the file says, and that before the defaults.
-
-Where another method is typed than the file is about, what only the other one understands is left
-out, and said: the same scene, cameras and masks, once more by another method.
+`config`, the fields of the estimator, some of which have no option. The result.json of a run is
+such a file, so that a run can be repeated. Command-line options override the file, which overrides
+the defaults. If the command line names another method than the file, the settings of the file that
+depend on the method are dropped.
 """
 
 import dataclasses
+import functools
 import json
 import tomllib
+import typing
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import pydantic
 import tyro
 
-from gsc_jax.cli.fields import changed, checked, known_keys
-from gsc_jax.cli.options import Locate
-from gsc_jax.estimators.gschecker import CONFIGS, Config, Method, MethodConfig
+from gsc_jax.cli.locate_options import Locate
+from gsc_jax.estimators import METHODS, Method
+from gsc_jax.estimators.protocol import Estimator
 from gsc_jax.io.files import existing_file
-from gsc_jax.loop import resolved
+from gsc_jax.io.validation import one_line
 from gsc_jax.scene import InputError
 
-OF_A_METHOD = ("threshold", "mask_rule", "lambda2", "epochs")
-"""Options that mean something else to another method, or nothing."""
-SHARED = ("near", "seed")
-"""Options that have a value of their own, typed or not, and a field in every configuration."""
+Table = dict[str, Any]
+METHOD_OPTIONS = ("threshold", "mask_rule", "lambda2", "epochs")
+"""Options whose meaning or default depends on the method."""
+SHARED_FIELDS = ("near", "seed")
+"""Options that are fields of every estimator."""
+STRICT = pydantic.ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Settings:
-    """What a file says.
+class ConfigFile:
+    """Content of a file for `--config`.
 
     Attributes:
         path: The file.
-        method: The method that it is about.
-        command: Some options of `locate`, by name.
-        config: The configuration of the method.
+        method: The method that it configures.
+        command: Options of `locate` that it sets, by name.
+        estimator: The configured estimator.
     """
 
     path: Path
     method: Method
-    command: dict[str, Any]
-    config: Config
+    command: Table
+    estimator: Estimator
 
-    def default(self) -> Locate:
-        """The options for who types none; `tyro.MISSING` where they cannot do without."""
+    def options(self) -> Locate:
+        """Defaults for the command line; `tyro.MISSING` for required options that are not set."""
         required = {"scene": tyro.MISSING, "out": tyro.MISSING}
-        own = {name: getattr(self.config, name) for name in SHARED}
-        return Locate(**{**required, **own, **self.command})
+        shared = {name: getattr(self.estimator, name) for name in SHARED_FIELDS}
+        return Locate(**{**required, **shared, **self.command})
 
-    def about(self, method: Method) -> "Settings":
-        """What of it is true of a method, be it another one."""
+    def for_method(self, method: Method) -> "ConfigFile":
+        """The file without what depends on its method, if that is another one."""
         if method == self.method:
             return self
-        command = {name: said for name, said in self.command.items() if name not in OF_A_METHOD}
-        shared = {name: getattr(self.config, name) for name in SHARED}
-        config = dataclasses.replace(CONFIGS[method], **shared)
-        return Settings(
-            path=self.path, method=method, command={**command, "method": method}, config=config
+        command = {name: self.command[name] for name in self.command if name not in METHOD_OPTIONS}
+        shared = {name: getattr(self.estimator, name) for name in SHARED_FIELDS}
+        return ConfigFile(
+            path=self.path,
+            method=method,
+            command={**command, "method": method},
+            estimator=_replaced(METHODS[method], shared),
         )
 
 
-def read_settings(path: str | Path) -> Settings:
-    """Reads a file for `--config`.
+def read_config_file(path: str | Path) -> ConfigFile:
+    """Read a file for `--config`.
 
     Args:
-        path: A result.json, the folder of one, or a .toml or .json with `command` and `config`.
+        path: A result.json, its folder, or a .toml or .json file with `command` and `config`.
 
     Raises:
-        InputError: if there is none, or a key or value in it is none that `locate` understands.
+        InputError: if the file cannot be read, or has an unknown key, a wrong type or a
+            contradiction.
     """
     path = Path(path)
     path = path / "result.json" if path.is_dir() else path
-    said = _read(existing_file(path, expected="a configuration (.toml or .json)"))
-    report = "versions" in said and "outputs" in said  # by its other keys a result.json
-    if not report:
-        _refuse_bare_options(path, said)
-        known_keys(said, ["command", "config"], str(path))
-    command = checked(said.get("command", {}), Locate, f"{path}: command")
-    command.pop("config", None)  # what that one said is in the other table
-    table = _explicit(command, said.get("config", {}))
-    method = _method(path, command, table)
-    config = changed(_base(path, method, table), table, f"{path}: config")
-    _refuse_contradictions(path, command, table)
-    if report and isinstance(config, MethodConfig):
-        config = _unresolved(config, said.get("judged_views"))
-    return Settings(path=path, method=method, command=command, config=config)
+    content = _read(existing_file(path, expected="a configuration (.toml or .json)"))
+    report = {"versions", "outputs"} <= set(content)
+    tables = {name: content.get(name, {}) for name in ("command", "config")} if report else content
+    tables = _validated(_File, tables, str(path), hint="options go below a line [command]")
+    command = _validated(_model(Locate), tables.get("command", {}), f"{path}: command")
+    command.pop("config", None)  # its content is in the table `config`
+    method = _method(path, command, tables.get("config", {}))
+    base = METHODS[method]
+    fields = ", ".join(field.name for field in dataclasses.fields(typing.cast(Any, base)))
+    hint = f"fields of the method {method}: {fields}"
+    config = _validated(_model(type(base)), tables.get("config", {}), f"{path}: config", hint=hint)
+    if command.get("all_views") or command.get("views"):
+        if config.get("tolerance"):
+            raise InputError(
+                f"{path}: config.tolerance stops at stable labels, but command gives the number of "
+                "views; leave one of them out"
+            )
+        config.pop("tolerance", None)  # 0 in a result.json, as it follows from the options
+    _refuse_contradictions(path, command, config)
+    if report:
+        _reopen_schedule(base, config, content.get("judged_views"))
+    try:
+        estimator = _replaced(base, config)
+    except ValueError as error:
+        raise InputError(f"{path}: config: {error}") from error
+    return ConfigFile(path=path, method=method, command=command, estimator=estimator)
 
 
-def _refuse_bare_options(path: Path, said: Mapping[str, Any]) -> None:
-    """Refuses options that belong into the table `command`."""
-    options = {field.name for field in dataclasses.fields(Locate)}
-    for key in said:
-        if key in options - {"config"}:
-            raise InputError(f"{path}: {key!r} is in no table; put it below a line [command]")
-
-
-def _read(path: Path) -> dict[str, Any]:
+def _read(path: Path) -> Table:
     readers = {".json": json.loads, ".toml": tomllib.loads}
     read = readers.get(path.suffix.lower())
     if read is None:
         raise InputError(f"{path}: expected a .toml or .json, or a result.json of `locate`")
     try:
-        said = read(path.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError) as error:  # also of text that is not UTF-8
+        content = read(path.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as error:  # also text that is not UTF-8
         kind = path.suffix[1:].upper()
-        raise InputError(
-            f"{path}: is not valid {kind} ({error}); mend it or write it again"
-        ) from error
-    if not isinstance(said, dict):
-        raise InputError(f"{path}: holds no tables, expected command and config")
-    return said
+        raise InputError(f"{path}: not valid {kind} ({error}); correct the file") from error
+    if not isinstance(content, dict):
+        raise InputError(f"{path}: expected the tables command and config")
+    return content
 
 
-def _method(path: Path, command: Mapping[str, Any], table: Any) -> Method:
-    """The method that a file is about, which it may name twice."""
-    name = table.get("name") if isinstance(table, Mapping) else None
-    if name is not None and name not in CONFIGS:
+class _File(pydantic.BaseModel):
+    model_config = STRICT
+    command: Table = {}
+    config: Table = {}
+
+
+@functools.cache
+def _model(kind: type) -> type[pydantic.BaseModel]:
+    """A model with the fields of a dataclass, all of them optional."""
+    hints, fields = typing.get_type_hints(kind), {}
+    for field in dataclasses.fields(kind):
+        hint = hints[field.name]
+        fields[field.name] = (_model(hint) if dataclasses.is_dataclass(hint) else hint, None)
+    return pydantic.create_model(kind.__name__, __config__=STRICT, **fields)
+
+
+def _validated(
+    model: type[pydantic.BaseModel], table: Table, where: str, *, hint: str = ""
+) -> Table:
+    """The keys of a table with values of the types of a model.
+
+    The table is validated as JSON, in which strict types still allow a list for a tuple and a text
+    for a path.
+    """
+    try:
+        valid = model.model_validate_json(json.dumps(table, default=str))
+    except pydantic.ValidationError as error:
+        line = one_line(error, where, table, known=model.model_fields)
+        unknown = error.errors()[0]["type"] == "extra_forbidden"
+        raise InputError(f"{line}; {hint}" if hint and unknown else line) from error
+    return valid.model_dump(exclude_unset=True)
+
+
+def _method(path: Path, command: Table, config: Mapping[str, Any]) -> Method:
+    """The method of a file, which both of its tables may name."""
+    name = config.get("name")
+    if name is not None and name not in METHODS:
         raise InputError(
-            f"{path}: config.name: expected one of {', '.join(CONFIGS)}, found {name!r}"
+            f"{path}: config.name: expected one of {', '.join(METHODS)}, found {name!r}"
         )
     method = command.get("method", name or "robust")
     if name not in (None, method):
-        raise InputError(f"{path}: command is of the method {method}, but config of {name}")
+        raise InputError(f"{path}: command.method is {method}, but config.name is {name}")
     return method
 
 
-def _base(path: Path, method: Method, table: Any) -> Config:
-    """The method as it is by default, once no key of the table is one of the others' alone."""
-    base = CONFIGS[method]
-    own = {field.name for field in dataclasses.fields(base)}
-    for other, config in CONFIGS.items():
-        theirs = {field.name for field in dataclasses.fields(config)} - own
-        for key in table if isinstance(table, Mapping) else ():
-            if key in theirs:
-                raise InputError(
-                    f"{path}: config.{key}: is of the method {other}, found in a configuration of "
-                    f'{method}; say method = "{other}" in command, or leave it out'
-                )
-    return base
-
-
-def _refuse_contradictions(path: Path, command: Mapping[str, Any], config: Mapping) -> None:
-    """Refuses a file that says one thing in the one table and another in the other."""
-    loop = config.get("loop", {})
-    there = {**config, "lambda2": loop.get("lambda2")}
-    for name in (*SHARED, *OF_A_METHOD):
-        one, other = command.get(name), there.get(name)
-        if one is not None and other is not None and one != other:
+def _refuse_contradictions(path: Path, command: Table, config: Table) -> None:
+    """Refuse a file whose tables give different values to one setting."""
+    given = {**config, "lambda2": config.get("loop", {}).get("lambda2")}
+    for name in (*SHARED_FIELDS, *METHOD_OPTIONS):
+        one, other = command.get(name), given.get(name)
+        if None not in (one, other) and one != other:
             raise InputError(
-                f"{path}: says {name} twice, {one} in command and {other} in config; change both, "
-                "or leave one of them out"
+                f"{path}: {name} is {one} in command and {other} in config; leave one of them out"
             )
-    if (command.get("all_views") or command.get("views")) and config.get("tolerance"):
-        raise InputError(
-            f"{path}: config.tolerance {config['tolerance']} is for looking at no more views than "
-            "it takes, but command says how many; leave one of them out"
-        )
 
 
-def _explicit(command: Mapping[str, Any], table: Any) -> Any:
-    """The configuration without the tolerance that follows from a number of views."""
-    follows = command.get("all_views") or command.get("views")
-    if follows and isinstance(table, Mapping) and table.get("tolerance") == 0:
-        return {name: value for name, value in table.items() if name != "tolerance"}
-    return table
+def _reopen_schedule(base: Estimator, config: Table, views: Any) -> None:
+    """Unset the start of the 3D loss if it is the default for the number of views of the run."""
+    loop = config.get("loop")
+    if loop is None or not isinstance(views, int):
+        return
+    unset = _replaced(base, {**config, "loop": {**loop, "contrastive_start": None}})
+    if typing.cast(Any, unset.resolved(views)).loop.contrastive_start == loop["contrastive_start"]:
+        loop["contrastive_start"] = None
 
 
-def _unresolved(config: MethodConfig, views: Any) -> MethodConfig:
-    """The configuration with that left open which the number of views decided."""
-    if not isinstance(views, int):
-        return config
-    left_open = dataclasses.replace(config.loop, contrastive_start=None)
-    by_default = resolved(left_open, config.epochs * views)
-    return dataclasses.replace(config, loop=left_open) if by_default == config.loop else config
+def _replaced(base: Any, changes: Table) -> Any:
+    """A dataclass with some fields replaced; a table replaces fields of a nested dataclass."""
+    nested = {
+        name: _replaced(getattr(base, name), value)
+        for name, value in changes.items()
+        if dataclasses.is_dataclass(getattr(base, name))
+    }
+    return dataclasses.replace(base, **{**changes, **nested})

@@ -1,10 +1,9 @@
-"""The demo: a made scene with a pasted object, found by itself and with a detector that errs.
+"""`gsc-jax demo`: locate a pasted object in a generated scene, and compare with the truth.
 
-The scene as it was before lies beside it, to see what is said of a scene that nobody touched.
-Everything goes through files and through the same code as `gsc-jax locate`. The detector's regime
-is `mixture`, all its failures at once, as it is the one in which a mask alone is of little use and
-in which lifting every mask to the Gaussians by itself (the inverse projection) marks a cone behind
-each false blob. What is printed is measured on views that no method was given.
+All input and output goes through files and through the code of `gsc-jax locate`. The simulated
+detector has all failures at once (`mixture`): single masks are then of little use, and the inverse
+projection labels a cone behind every false blob. The scores are measured on views that no method
+was given. The scene before the edit is processed, too, to compare the verdicts.
 """
 
 import dataclasses
@@ -14,19 +13,20 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from baselines import inverse
 
+from gsc_jax.benchmark.baseline import inverse_projection
 from gsc_jax.benchmark.metrics import confusion, mean_over_tampered_views, truth_mask
 from gsc_jax.benchmark.scenes import MadeScene, tampered_room
 from gsc_jax.benchmark.simulate import REGIMES, decoy_labels, simulate
 from gsc_jax.cli.locate import run_locate
-from gsc_jax.cli.options import Demo, Locate
-from gsc_jax.cli.outputs import evenly
+from gsc_jax.cli.locate_options import Locate
+from gsc_jax.cli.options import Demo
 from gsc_jax.cli.pictures import contact_sheet, overlay
-from gsc_jax.cli.tamper import write_said, write_scene, write_truth
-from gsc_jax.estimators.gschecker import Method
+from gsc_jax.cli.scene_input import evenly_spaced
+from gsc_jax.cli.tamper import write_probabilities, write_scene, write_truth
+from gsc_jax.estimators import Method
 from gsc_jax.evidence.masks import MaskRule, view_mask
-from gsc_jax.evidence.monitor import Progress, silent
+from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.io.cameras import save_cameras
 from gsc_jax.locate import Result
 from gsc_jax.render.projection import project_centers
@@ -35,26 +35,33 @@ from gsc_jax.splat import render
 from gsc_jax.vote import cast_votes, no_votes, tally
 
 REGIME = "mixture"
-ALONE, BOTH = "native", "robust"
+ATTRIBUTES_ONLY = "native"
 RUNS: dict[str, Method] = {
-    ALONE: "robust",
-    BOTH: "robust",
+    ATTRIBUTES_ONLY: "robust",
+    "robust": "robust",
     "official": "official",
     "paper": "paper",
 }
-"""What is shown, by folder; the first without the masks."""
+"""Runs by folder, each with its method; the first without masks."""
 INVERSE = "inverse projection"
-ROWS = 4
-WIDTH = 88
-"""Columns of what is printed."""
+UNEDITED = "untouched"
+"""Name of the scene before the edit, in names of folders."""
+PICTURE_ROWS = 4
+TEXT_WIDTH = 88
+EXPLANATION = """\
+robust estimates the reliability of every mask and uses the attributes of the Gaussians;
+native uses the attributes alone, with a classifier that was trained on this room and such a
+vase: docs/results.md has its scores on other scenes. GS-Checker trusts all masks: official
+follows its released code, with one pass of optimisation after the vote; paper makes five
+passes, in which every view without the vase in its mask counts ten times."""
 
 Views = dict[str, np.ndarray]
-"""A picture or mask per camera, by the camera's name."""
+"""An image or mask by camera name."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Case:
-    """The made scene, and per camera, held-out ones too, the truth and what the detector says."""
+    """A scene, and by camera, held-out cameras included, the truth and the detector's masks."""
 
     made: MadeScene
     truth: Views
@@ -62,162 +69,116 @@ class Case:
 
 
 def run_demo(
-    options: Demo,
-    *,
-    count: int = 50_000,
-    views: int = 24,
-    heldout: int = 6,
-    width: int = 480,
-    height: int = 360,
-    progress: Progress = silent,
+    options: Demo, *, made: MadeScene | None = None, monitor: Monitor | None = None
 ) -> list[str]:
-    """Makes the case, runs every method on it, and compares with the truth.
+    """Generate the scene, run every method on it, and compare with the truth.
 
     Args:
-        options: The arguments of the command line.
-        count: Number of Gaussians.
-        views: Number of cameras for the methods.
-        heldout: Number of other cameras, for the metrics.
-        width: Image width in pixels.
-        height: Image height in pixels.
-        progress: Called with (stage, done, total).
+        options: Arguments of the command line.
+        made: The scene, by default `tampered_room`.
+        monitor: Receives progress.
 
     Returns:
-        What was found, in lines for people.
+        Lines to print.
 
     Raises:
         InputError: if the folder cannot be written to.
     """
-    made = tampered_room(
-        seed=options.seed, count=count, views=views, heldout=heldout, width=width, height=height
-    )
+    made = made or tampered_room(seed=options.seed)
+    monitor = monitor or Monitor()
     given = options.out / "input"
-    write_scene(given, made.gaussians, made.cameras, made.labels)
+    decoy = decoy_labels(made.gaussians, made.labels, seed=options.seed)
+    case = _write_case(given, made, decoy, seed=options.seed, monitor=monitor)
     save_cameras(given / "heldout_cameras.json", made.heldout_cameras)
-    suspicious = decoy_labels(made.gaussians, made.labels, seed=options.seed)
-    case = make_case(made, suspicious, seed=options.seed, progress=progress)
-    write_said(given / "masks", {c.name: case.detector[c.name] for c in made.cameras})
     write_truth(given / "truth", case.truth)
-    inverse = inverse_projection(case)
+    inverse = _inverse_projection(case)
     labels = {INVERSE: inverse}
     found = {INVERSE: _heldout_masks(case, inverse, inverse, "share")}
-    verdicts = {}
-    for name, method in RUNS.items():
-        command = Locate(
-            scene=given / "scene.ply",
-            cameras=given / "cameras.json",
-            masks=None if name == ALONE else given / "masks",
-            out=options.out / name,
-            method=method,
-            seed=options.seed,
-        )
-        result = run_locate(command, progress=progress).result
-        verdicts[name] = result.verdict
+    edited: dict[str, Result] = {}
+    for name in RUNS:
+        edited[name] = result = _locate(given, options, name, monitor)
         labels[name] = result.labels
-        found[name] = _heldout_masks(case, result.tamper, result.labels, result.config.mask_rule)
-    _write_pictures(options.out / "heldout.png", case, found)
-    before = _untouched(made, suspicious, options, progress)
+        rule = result.estimator.mask_rule
+        found[name] = _heldout_masks(case, result.tamper, result.labels, rule)
+    _write_picture(options.out / "heldout.png", case, found)
+    unedited = _run_unedited(made, decoy, options, monitor)
+    reports = [*RUNS, *(f"{UNEDITED}-{name}" for name in unedited)]
     return [
-        *_story(case),
+        *_introduction(case),
         "",
-        *_by_gaussian(case, labels),
+        *_gaussian_table(case, labels),
         "",
-        *_by_view(case, found),
+        *_view_table(case, found),
         "",
-        "The method robust asks what the mask of each view is worth, and the Gaussians themselves;",
-        "native asks only them, by a model that was trained on this room and such a vase; how it",
-        "does on what it does not know is in docs/results.md. GS-Checker believes all masks:",
-        "official is the schedule of its released code, one pass of optimisation after the vote;",
-        "paper takes five, and in each of them every view that misses the vase counts ten times.",
+        *EXPLANATION.splitlines(),
         "",
-        *_by_scene(verdicts, before),
+        *_verdict_table(edited, unedited),
         "",
-        f"look at  {options.out / 'heldout.png'}: the truth beside what was found",
-        *(f"         {options.out / name / 'report.html'}" for name in (*RUNS, *before)),
+        f"look at  {options.out / 'heldout.png'}: the truth beside the masks of each method",
+        *(f"         {options.out / name / 'report.html'}" for name in reports),
         f"again    {sys.argv[0]} locate {given / 'scene.ply'} --cameras {given / 'cameras.json'} "
         f"--masks {given / 'masks'} --out found",
     ]
 
 
-def _untouched(
-    made: MadeScene, suspicious: np.ndarray, options: Demo, progress: Progress
+def _write_case(
+    folder: Path, made: MadeScene, decoy: np.ndarray, *, seed: int, monitor: Monitor
+) -> Case:
+    """Simulate the detector, and write the scene and the masks of the views for the methods.
+
+    `decoy` labels authentic Gaussians that the detector may flag, shape (N,) bool.
+    """
+    cameras = [*made.cameras, *made.heldout_cameras]
+    truth, decoys = [], []
+    for done, camera in enumerate(cameras, start=1):
+        truth.append(truth_mask(made.gaussians, camera, made.labels))
+        decoys.append(truth_mask(made.gaussians, camera, decoy))
+        monitor.progress("make", done, len(cameras))
+    maps = simulate(np.stack(truth), np.stack(decoys), seed=seed, failures=REGIMES[REGIME])
+    names = [camera.name for camera in cameras]
+    case = Case(
+        made=made,
+        truth=dict(zip(names, truth, strict=True)),
+        detector=dict(zip(names, maps, strict=True)),
+    )
+    write_scene(folder, made.gaussians, made.cameras, made.labels)
+    write_probabilities(folder / "masks", {c.name: case.detector[c.name] for c in made.cameras})
+    return case
+
+
+def _locate(given: Path, options: Demo, name: str, monitor: Monitor, prefix: str = "") -> Result:
+    """Run `gsc-jax locate` on a written case."""
+    command = Locate(
+        scene=given / "scene.ply",
+        cameras=given / "cameras.json",
+        masks=None if name == ATTRIBUTES_ONLY else given / "masks",
+        out=options.out / f"{prefix}{name}",
+        method=RUNS[name],
+        seed=options.seed,
+    )
+    return run_locate(command, monitor=Monitor(monitor.progress)).result
+
+
+def _run_unedited(
+    made: MadeScene, decoy: np.ndarray, options: Demo, monitor: Monitor
 ) -> dict[str, Result]:
-    """The room before the vase was pasted into it, by folder: by itself, and with masks."""
-    given, rest = options.out / "input" / "untouched", np.flatnonzero(~made.labels)
+    """Results of the room without the vase, from its attributes alone and with masks."""
+    given, rest = options.out / "input" / UNEDITED, np.flatnonzero(~made.labels)
     room = dataclasses.replace(
         made, gaussians=made.gaussians.take(rest), labels=np.zeros(len(rest), bool)
     )
-    write_scene(given, room.gaussians, room.cameras, room.labels)
-    said = make_case(room, suspicious[rest], seed=options.seed, progress=progress).detector
-    write_said(given / "masks", {camera.name: said[camera.name] for camera in room.cameras})
-    commands = {
-        f"untouched-{name}": Locate(
-            scene=given / "scene.ply",
-            cameras=given / "cameras.json",
-            masks=None if name == ALONE else given / "masks",
-            out=options.out / f"untouched-{name}",
-            seed=options.seed,
-        )
-        for name in (ALONE, BOTH)
-    }
-    return {
-        name: run_locate(command, progress=progress).result for name, command in commands.items()
-    }
+    _write_case(given, room, decoy[rest], seed=options.seed, monitor=monitor)
+    names = (ATTRIBUTES_ONLY, "robust")
+    return {name: _locate(given, options, name, monitor, f"{UNEDITED}-") for name in names}
 
 
-def _by_scene(verdicts: Mapping[str, float | None], before: Mapping[str, Result]) -> list[str]:
-    """What is said of the edited scene, and of the same scene before."""
-    lines = [f"{'was anything edited?':24}{'with the vase':>15}{'before':>10}{'then labelled':>16}"]
-    for name in (ALONE, BOTH):
-        result = before[f"untouched-{name}"]
-        edited = verdicts[name] or 0.0
-        lines.append(
-            f"{name:24}{edited:15.0%}{result.verdict or 0.0:10.0%}{result.labels.sum():16,}"
-        )
-    return lines
-
-
-def make_case(made: MadeScene, suspicious: np.ndarray, *, seed: int, progress: Progress) -> Case:
-    """What the views truly show, and what the simulated detector says about them.
-
-    Args:
-        made: The scene and its cameras.
-        suspicious: Authentic Gaussians that the detector may take for tampered, shape (N,) bool.
-        seed: What the detector's mistakes follow.
-        progress: Called with (stage, done, total).
-
-    Returns:
-        The case.
-    """
-    cameras = [*made.cameras, *made.heldout_cameras]
-    truth, decoy = [], []
-    for done, camera in enumerate(cameras, start=1):
-        truth.append(truth_mask(made.gaussians, camera, made.labels))
-        decoy.append(truth_mask(made.gaussians, camera, suspicious))
-        progress("make", done, len(cameras))
-    said = simulate(np.stack(truth), np.stack(decoy), seed=seed, failures=REGIMES[REGIME])
-    names = [camera.name for camera in cameras]
-    return Case(
-        made=made,
-        truth=dict(zip(names, truth, strict=True)),
-        detector=dict(zip(names, said, strict=True)),
-    )
-
-
-def inverse_projection(case: Case) -> np.ndarray:
-    """The naive way: tampered is whose centre falls into the mask of any view.
-
-    Args:
-        case: The case.
-
-    Returns:
-        Labels, shape (N,) bool.
-    """
+def _inverse_projection(case: Case) -> np.ndarray:
+    """Labels of the inverse projection of the masks, shape (N,) bool."""
     votes = no_votes(len(case.made.labels))
     for camera in case.made.cameras:
-        place = project_centers(case.made.gaussians.means, camera.viewmat, camera.K)
-        votes += tally(cast_votes(*place, case.detector[camera.name] > 0.5)[None])
-    return inverse(votes)
+        centers = project_centers(case.made.gaussians.means, camera.viewmat, camera.K)
+        votes += tally(cast_votes(*centers, case.detector[camera.name] > 0.5)[None])
+    return inverse_projection(votes)
 
 
 def _heldout_masks(case: Case, tamper: np.ndarray, labels: np.ndarray, rule: MaskRule) -> Views:
@@ -228,42 +189,50 @@ def _heldout_masks(case: Case, tamper: np.ndarray, labels: np.ndarray, rule: Mas
     }
 
 
-def _story(case: Case) -> list[str]:
+def _introduction(case: Case) -> list[str]:
     made, failures = case.made, REGIMES[REGIME]
     camera = made.cameras[0]
-    scores = mean_over_tampered_views(*_pick(made.cameras, case.detector, case.truth))
+    scores = mean_over_tampered_views(*_select(made.cameras, case.detector, case.truth))
     return textwrap.wrap(
-        f"A made room of {len(made.labels):,} Gaussians, {made.labels.sum():,} of which are a vase "
-        f"pasted onto the table; {len(made.cameras)} views of {camera.width} x {camera.height}, "
-        f"and {len(made.heldout_cameras)} held out for the metrics. The simulated detector "
-        f"({REGIME}) misses the vase in {failures.misses:.0%} of the views, flags an authentic "
-        f"thing in {failures.decoy:.0%}, inverts {failures.inverted:.0%}, and adds blobs and "
-        f"ragged edges: its masks have a mean F1 of {scores.f1:.2f}, IoU {scores.iou:.2f}.",
-        WIDTH,
+        f"A generated room of {len(made.labels):,} Gaussians, {made.labels.sum():,} of which are a "
+        f"vase pasted onto the table; {len(made.cameras)} views of {camera.width} x "
+        f"{camera.height}, and {len(made.heldout_cameras)} held out for the scores. The simulated "
+        f"detector ({REGIME}) misses the vase in {failures.misses:.0%} of the views, flags an "
+        f"authentic object in {failures.decoy:.0%}, inverts {failures.inverted:.0%}, and adds "
+        f"blobs and ragged edges: its masks have a mean F1 of {scores.f1:.2f}, IoU "
+        f"{scores.iou:.2f}.",
+        TEXT_WIDTH,
     )
 
 
-def _by_gaussian(case: Case, labels: Mapping[str, np.ndarray]) -> list[str]:
+def _gaussian_table(case: Case, labels: Mapping[str, np.ndarray]) -> list[str]:
     lines = [f"{'Gaussians':20}{'found':>8}{'precision':>11}{'recall':>8}{'F1':>7}"]
-    for name, marked in labels.items():
-        score = confusion(marked, case.made.labels)
+    for name, found in labels.items():
+        score = confusion(found, case.made.labels)
         lines.append(
-            f"{name:20}{marked.sum():8,}{score.precision:11.3f}{score.recall:8.3f}{score.f1:7.3f}"
+            f"{name:20}{found.sum():8,}{score.precision:11.3f}{score.recall:8.3f}{score.f1:7.3f}"
         )
     return lines
 
 
-def _by_view(case: Case, found: Mapping[str, Views]) -> list[str]:
-    """F1 on each held-out view; the detector was asked about them for comparison only."""
-    cameras = case.made.heldout_cameras
-    lines = []
+def _view_table(case: Case, found: Mapping[str, Views]) -> list[str]:
+    """F1 of each held-out view; the detector's masks of these views are for comparison only."""
+    cameras, lines = case.made.heldout_cameras, []
     for name, masks in {"detector alone": case.detector, **found}.items():
-        score = mean_over_tampered_views(*_pick(cameras, masks, case.truth))
+        score = mean_over_tampered_views(*_select(cameras, masks, case.truth))
         if not lines:
-            shown = [cameras[view].name.rpartition("_")[2] for view in score.views]
-            lines = [_row("F1 of held-out view", shown, "mean", "IoU")]
+            views = [cameras[view].name.rpartition("_")[2] for view in score.views]
+            lines = [_row("F1 of held-out view", views, "mean", "IoU")]
         cells = [f"{f1:.2f}" for f1 in score.per_view["f1"]]
         lines.append(_row(name, cells, f"{score.f1:.2f}", f"{score.iou:.2f}"))
+    return lines
+
+
+def _verdict_table(edited: Mapping[str, Result], unedited: Mapping[str, Result]) -> list[str]:
+    lines = [f"{'was anything edited?':24}{'with the vase':>15}{'before':>10}{'then labelled':>16}"]
+    for name, result in unedited.items():
+        verdicts = f"{edited[name].verdict or 0.0:15.0%}{result.verdict or 0.0:10.0%}"
+        lines.append(f"{name:24}{verdicts}{result.labels.sum():16,}")
     return lines
 
 
@@ -271,19 +240,19 @@ def _row(name: str, cells: Sequence[str], *means: str) -> str:
     return f"{name:20}" + "".join(f"{c:>6}" for c in cells) + "".join(f"{m:>8}" for m in means)
 
 
-def _pick(
+def _select(
     cameras: Sequence[Camera], masks: Views, truth: Views
 ) -> tuple[list[np.ndarray], list[np.ndarray]]:
     names = [camera.name for camera in cameras]
     return [masks[name] for name in names], [truth[name] for name in names]
 
 
-def _write_pictures(path: Path, case: Case, found: Mapping[str, Views]) -> None:
-    cameras = evenly(case.made.heldout_cameras, ROWS)
+def _write_picture(path: Path, case: Case, found: Mapping[str, Views]) -> None:
+    cameras = evenly_spaced(case.made.heldout_cameras, PICTURE_ROWS)
     rows = []
     for camera in cameras:
         image = np.asarray(render(case.made.gaussians, camera)[0])
-        marks = [case.truth, *found.values()]
-        rows.append([image, *(overlay(image, masks[camera.name]) for masks in marks)])
+        masks = [case.truth, *found.values()]
+        rows.append([image, *(overlay(image, views[camera.name]) for views in masks)])
     titles = ("render", "truth", *found)
     contact_sheet(path, rows, titles=titles, labels=[camera.name for camera in cameras])

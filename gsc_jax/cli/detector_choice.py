@@ -1,182 +1,147 @@
-"""Who is asked, and how: from the options of `locate` to a configuration and a detector."""
+"""Estimator and detectors of a run of `locate`, from its options."""
 
 import dataclasses
 import math
 from pathlib import Path
+from typing import Any
 
-from gsc_jax.cli.cache import default_cache
-from gsc_jax.cli.config_file import read_settings
-from gsc_jax.cli.interruption import Interruptible
-from gsc_jax.cli.options import Locate
+from gsc_jax.cli.cache import cache_folder
+from gsc_jax.cli.config_file import read_config_file
+from gsc_jax.cli.locate_options import Locate
 from gsc_jax.detectors.cache import CachedDetector
 from gsc_jax.detectors.folder import FolderDetector
 from gsc_jax.detectors.onnx import OnnxDetector
 from gsc_jax.detectors.safire import SafireDetector
 from gsc_jax.detectors.specs import PLAIN, PRESETS, OnnxSpec, preset, read_spec, spec_beside
-from gsc_jax.estimators.gschecker import CONFIGS, Config, MethodConfig
-from gsc_jax.estimators.robust.estimator import RobustConfig
+from gsc_jax.estimators import METHODS
+from gsc_jax.estimators.protocol import Estimator
 from gsc_jax.evidence.detector import Detector
 from gsc_jax.scene import InputError
 
-NATIVE, NOBODY = Path("native"), Path("none")
-"""What may be said to --detector instead of a file."""
+NATIVE, NONE = Path("native"), Path("none")
+"""Values of --detector that are not files."""
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Asked:
-    """Who is asked.
-
-    Attributes:
-        options: The options, with the spec that lies beside the model.
-        config: Of the method.
-        native: Whether the Gaussians themselves are asked.
-        detector: Who judges the views; None where nobody does.
-        network: The 2D network behind it; None where there is none.
-    """
-
-    options: Locate
-    config: Config
-    native: bool
-    detector: Detector | None
-    network: Interruptible | None
-
-
-def who_is_asked(options: Locate) -> Asked:
-    """Opens whoever is asked, and refuses what contradicts itself.
-
-    Args:
-        options: The arguments of the command line.
+def configured_estimator(options: Locate) -> Estimator:
+    """The estimator of --method, configured by --config and the options.
 
     Raises:
-        InputError: if an option means nothing, or there is nothing to go by.
+        InputError: if an option is invalid or does not apply to the method.
     """
-    config, options = method_config(options), _with_spec(options)
-    native = _asks_native(options, config)
-    detector, network = _detector(options, native)
-    return Asked(options=options, config=config, native=native, detector=detector, network=network)
-
-
-def method_config(options: Locate) -> Config:
-    """The method with what was asked for changed; None leaves a value to the method."""
-    method = CONFIGS[options.method]
+    base: Any = METHODS[options.method]
     if options.config is not None:
-        method = read_settings(options.config).about(options.method).config
+        base = read_config_file(options.config).for_method(options.method).estimator
     if options.threshold is not None and not 0 <= options.threshold < 1:
         raise InputError(f"--threshold {options.threshold:g}: expected 0 or more, and less than 1")
-    common = {
-        "threshold": method.threshold if options.threshold is None else options.threshold,
-        "near": options.near,
-        "mask_rule": options.mask_rule or method.mask_rule,
-        "seed": options.seed,
-    }
-    if isinstance(method, MethodConfig):
-        return dataclasses.replace(_schedule(options, method), **common)
-    for flag, value in (("lambda2", options.lambda2), ("epochs", options.epochs)):
-        if value is not None:
-            raise InputError(
-                f"--{flag} {value:g}: only applies to --method official or paper, expected one of "
-                f"them, found {options.method}"
-            )
-    tolerance = 0.0 if options.all_views or options.views else method.tolerance
-    return dataclasses.replace(method, tolerance=tolerance, **common)
-
-
-def _schedule(options: Locate, method: MethodConfig) -> MethodConfig:
-    """GS-Checker with the price and the epochs that were asked for."""
     if options.epochs is not None and options.epochs < 1:
         raise InputError(f"--epochs {options.epochs}: expected at least one")
-    lambda2 = method.loop.lambda2 if options.lambda2 is None else options.lambda2
-    if not (math.isfinite(lambda2) and lambda2 >= 0):
-        raise InputError(f"--lambda2 {lambda2:g}: expected 0 or more")
-    loop = dataclasses.replace(method.loop, lambda2=lambda2)
-    return dataclasses.replace(method, epochs=options.epochs or method.epochs, loop=loop)
+    if options.lambda2 is not None and not 0 <= options.lambda2 < math.inf:
+        raise InputError(f"--lambda2 {options.lambda2:g}: expected 0 or more")
+    changes: dict[str, Any] = {"near": options.near, "seed": options.seed}
+    fields = {field.name for field in dataclasses.fields(base)}
+    for name in ("threshold", "mask_rule", "epochs"):
+        if getattr(options, name) is not None:
+            changes[name] = getattr(options, name)
+    if options.lambda2 is not None:
+        loop = getattr(base, "loop", None)
+        changes["lambda2" if loop is None else "loop"] = loop and dataclasses.replace(
+            loop, lambda2=options.lambda2
+        )
+    for name in set(changes) - fields:
+        raise InputError(f"--{name}: does not apply to --method {options.method}")
+    if base.stops_early and (options.all_views or options.views):
+        changes["tolerance"] = 0.0
+    return dataclasses.replace(base, **changes)
 
 
 def network_path(options: Locate) -> Path | None:
-    """The 2D network among those to be asked."""
-    asked = [path for path in options.detector if path not in (NATIVE, NOBODY)]
-    alone = NOBODY in options.detector and len(options.detector) > 1
-    if len(asked) > 1 or options.detector.count(NATIVE) > 1 or alone:
+    """The 2D network among the values of --detector.
+
+    Raises:
+        InputError: if there is more than one.
+    """
+    networks = [path for path in options.detector if path not in (NATIVE, NONE)]
+    combined = NONE in options.detector and len(options.detector) > 1
+    if len(networks) > 1 or options.detector.count(NATIVE) > 1 or combined:
         raise InputError(
             f"--detector {' '.join(map(str, options.detector))}: expected none, or native, one 2D "
             "network, or both"
         )
-    return asked[0] if asked else None
+    return networks[0] if networks else None
 
 
-def _asks_native(options: Locate, config: Config) -> bool:
-    """Whether the Gaussians themselves are asked; by default where the method can listen."""
+def uses_attributes(options: Locate, estimator: Estimator) -> bool:
+    """Whether the attributes of the Gaussians contribute evidence: by default if they can.
+
+    Raises:
+        InputError: if --detector names them but the estimator does not use a prior.
+    """
     named = NATIVE in options.detector
-    if not isinstance(config, RobustConfig):
-        if named:
-            raise InputError(
-                f"--method {options.method}: listens to masks only, and not to --detector native; "
-                "use --method robust"
-            )
-        return False
-    if named and config.native == 0:
+    if named and not estimator.uses_prior:
         raise InputError(
-            f"{options.config}: config.native: is 0, so that --detector native would have no say; "
-            "expected more, or another --detector"
+            f"--method {options.method}: uses masks only (or config.prior_weight is 0), and not "
+            "--detector native; use --method robust"
         )
-    return config.native > 0 and (named or not options.detector)
+    return estimator.uses_prior and (named or not options.detector)
 
 
-def _detector(options: Locate, native: bool) -> tuple[Detector | None, Interruptible | None]:
-    """Who judges the views, and the network behind it: the folder of masks, or the network."""
+def open_detector(options: Locate, *, attributes: bool) -> Detector | None:
+    """Open the folder of masks or the 2D network; None if the options name neither.
+
+    Args:
+        options: Arguments of the command line.
+        attributes: Whether the attributes of the Gaussians contribute evidence.
+
+    Raises:
+        InputError: if options contradict each other, there is no evidence, or a file is invalid.
+    """
     network = network_path(options)
     if options.masks is not None and network is not None:
         raise InputError(
-            f"--masks {options.masks} and --detector {network}: give one of the two; the masks of "
-            "several detectors cannot be told apart by the names of the cameras"
+            f"--masks {options.masks} and --detector {network}: give one of the two; both would "
+            "give a mask to the same camera"
         )
     if network is not None:
-        return _opened(network, options)
+        return _open_network(network, options)
     for flag in ("preset", "spec", "provider", "threads"):
         if getattr(options, flag) is not None:
-            raise InputError(f"--{flag} says how to run a 2D network; --detector names none")
+            raise InputError(f"--{flag}: only applies to a 2D network; --detector names none")
     if options.masks is not None:
-        return _masks(options, options.masks), None
-    if not native:
-        nobody = " --detector none" if NOBODY in options.detector else ""
+        if options.cameras is None:
+            raise InputError(
+                f"--masks {options.masks}: needs the cameras of the masks, --cameras "
+                "(`gsc-jax render` writes a cameras.json when it creates an orbit)"
+            )
+        return FolderDetector(options.masks)
+    if not attributes:
         raise InputError(
-            f"--method {options.method}{nobody}: nothing to go by; give the masks of a 2D detector "
-            "(--masks DIR), the detector itself (--detector MODEL.onnx), or ask the Gaussians "
-            "(--method robust --detector native, and no config.native = 0 in --config)"
+            f"--method {options.method}: there is no evidence; give the masks of a 2D detector "
+            "(--masks DIR), the detector itself (--detector MODEL.onnx), or use the attributes of "
+            "the Gaussians (--method robust --detector native, config.prior_weight above 0)"
         )
-    return None, None
+    return None
 
 
-def _masks(options: Locate, folder: Path) -> FolderDetector:
-    if options.cameras is None:
-        raise InputError(
-            f"--masks {folder}: masks belong to cameras, give those with --cameras "
-            "(`gsc-jax render` writes a cameras.json when it makes an orbit)"
-        )
-    return FolderDetector(folder)
-
-
-def _opened(path: Path, options: Locate) -> tuple[Detector, Interruptible]:
-    """A 2D network, which remembers what it said unless told not to."""
+def _open_network(path: Path, options: Locate) -> Detector:
+    """Load a 2D network; its outputs are cached unless --no-cache is given."""
     if str(path) in PRESETS and not path.exists():
         raise InputError(
             f"--detector {path}: is the name of a preset, expected an ONNX model; export the "
             f"network and give --detector MODEL.onnx --preset {path}"
         )
-    run = {"providers": [options.provider or "cpu"], "threads": options.threads or 0}
+    runtime = {"providers": [options.provider or "cpu"], "threads": options.threads or 0}
     if path.is_dir():
         if options.preset or options.spec:
             raise InputError(
-                f"--detector {path}: a folder is taken for SAFIRE's two networks, which need no "
-                "--preset and no --spec"
+                f"--detector {path}: a folder is read as SAFIRE's two networks, to which --preset "
+                "and --spec do not apply"
             )
-        model = SafireDetector(path, **run)
+        model = SafireDetector(path, **runtime)
     else:
-        model = OnnxDetector(path, _spec(options), **run)
-    network = Interruptible(model)
+        model = OnnxDetector(path, _spec(options), **runtime)
     if options.no_cache:
-        return network, network
-    return CachedDetector(network, default_cache() / "detections", model.fingerprint), network
+        return model
+    return CachedDetector(model, cache_folder() / "detections", model.fingerprint)
 
 
 def _spec(options: Locate) -> OnnxSpec:
@@ -187,8 +152,8 @@ def _spec(options: Locate) -> OnnxSpec:
     return read_spec(options.spec) if options.spec else PLAIN
 
 
-def _with_spec(options: Locate) -> Locate:
-    """The options with the spec that lies beside the model, so that the report names it."""
+def with_spec(options: Locate) -> Locate:
+    """The options with --spec set to the file beside the model, so that the report names it."""
     network = network_path(options)
     if network is None or network.is_dir() or options.preset or options.spec:
         return options

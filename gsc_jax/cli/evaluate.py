@@ -1,11 +1,10 @@
-"""`gsc-jax evaluate`: the results of a run against the truth, by Gaussian and by view.
+"""`gsc-jax evaluate`: compare the results of a run with the truth, by Gaussian and by view.
 
-The metrics are those of `gsc_jax.benchmark.metrics`. The 2D detector is measured on the same views
-by the same rule, so that it shows what lifting its masks gained. A truth of another size than a
-view is brought to the view's, once, and thresholded, as a detector's output is.
+The metrics are those of `gsc_jax.benchmark.metrics`. The masks of the 2D detector are compared with
+the same truth, which shows what lifting them to the Gaussians gains. A truth of another size than
+its view is resized once and thresholded, like the output of a detector.
 """
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -15,42 +14,39 @@ import numpy as np
 
 from gsc_jax.benchmark.metrics import auc, confusion, false_positive_area, mean_over_tampered_views
 from gsc_jax.cli.options import Evaluate
-from gsc_jax.cli.outputs import plain
+from gsc_jax.cli.outputs import write_json
 from gsc_jax.cli.report.wording import share
 from gsc_jax.cli.results import Results, read_results
 from gsc_jax.cli.staging import EVALUATION
 from gsc_jax.detectors.folder import FolderDetector
 from gsc_jax.evidence.detector import fit_to_view
-from gsc_jax.io.files import atomic
 from gsc_jax.io.masks import image_path, read_probability
 from gsc_jax.scene import Camera, InputError
 
-MEASURES = ("f1", "iou", "precision", "recall")
-"""Properties of `Confusion`, in the order of the tables."""
-BESIDE = ("f1", "iou")
-"""Of the 2D detector, beside them."""
-TITLES = {"f1": "F1", "iou": "IoU", "auc": "AUC", "2D f1": "2D F1", "2D iou": "2D IoU"}
-NAME = 24
-ASPECT = 0.02
-"""How far the aspects of a truth and of its view may differ: sizes are rounded."""
+MEASURES = {"f1": "F1", "iou": "IoU", "precision": "precision", "recall": "recall"}
+"""Titles of the columns, by property of `Confusion`."""
+NAME_WIDTH = 32
+ASPECT_TOLERANCE = 0.02
+"""Relative difference between the aspects of a truth and its view that rounding of the sizes of
+small images explains."""
 
 Masks = dict[str, np.ndarray]
 """Tampered pixels (H, W) bool, by camera name."""
 
 
 def run_evaluate(options: Evaluate) -> tuple[list[str], list[str]]:
-    """Compares results with the truth and writes the scores.
+    """Compare results with the truth and write the scores.
 
     Args:
-        options: The arguments of the command line.
+        options: Arguments of the command line.
 
     Returns:
-        Tables for people, and warnings.
+        Lines to print, and warnings.
 
     Raises:
-        InputError: if there are no results, or the truth is none of them.
+        InputError: if the folder holds no results, or the truth does not belong to them.
     """
-    labels, masks = _kinds(options.truth)
+    labels, masks = _file_and_folder(options.truth)
     results = read_results(options.folder)
     report: dict[str, Any] = {"folder": options.folder, "truth": options.truth}
     warnings: list[str] = []
@@ -62,14 +58,12 @@ def run_evaluate(options: Evaluate) -> tuple[list[str], list[str]]:
         report["views"] = by_view(results, masks, warnings)
         lines += [*_view_table(report["views"]), ""]
     out = options.out or options.folder / EVALUATION
-    with atomic(out) as temporary:
-        text = json.dumps(plain({**report, "warnings": warnings}), indent=2, ensure_ascii=False)
-        temporary.write_text(text + "\n", encoding="utf-8")
+    write_json(out, {**report, "warnings": warnings})
     return [*lines, f"numbers  {out}"], warnings
 
 
-def _kinds(truth: Sequence[Path]) -> tuple[Path | None, Path | None]:
-    """The truth by row and the one by view, told apart by what they are."""
+def _file_and_folder(truth: Sequence[Path]) -> tuple[Path | None, Path | None]:
+    """The truth by row, a file, and the truth by view, a folder."""
     for path in truth:
         if not path.exists():
             raise InputError(
@@ -78,39 +72,36 @@ def _kinds(truth: Sequence[Path]) -> tuple[Path | None, Path | None]:
     folders = [path for path in truth if path.is_dir()]
     files = [path for path in truth if not path.is_dir()]
     if len(folders) > 1 or len(files) > 1 or not truth:
-        given = " ".join(map(str, truth)) or "of nothing"
+        given = " ".join(map(str, truth))
         raise InputError(f"--truth {given}: expected labels.npy, a folder of masks, or one of each")
     return (files or [None])[0], (folders or [None])[0]
 
 
 def by_gaussian(results: Results, truth: Path) -> dict[str, Any]:
-    """Scores of the labels, and of the scores behind them.
+    """Compute the scores of the labels, and the AUC of the scores behind them.
 
     Args:
-        results: Of `locate`. Rows that it could not read count as found authentic.
-        truth: A .npy of bool by row of the scene.
-
-    Returns:
-        Counts, the measures and the area under the ROC curve, by name.
+        results: Results of `locate`. Rows that it could not read count as labelled authentic.
+        truth: A .npy of bool by row of the scene file.
 
     Raises:
-        InputError: if the truth is no such array or that of another scene.
+        InputError: if the truth is not such an array, or of another scene.
     """
-    true = _labels(truth, results.total)
+    labels = _read_labels(truth, results.total)
     found, scores = np.zeros(results.total, bool), np.zeros(results.total, np.float32)
     found[results.rows], scores[results.rows] = results.labels, results.tamper
-    counts = confusion(found, true)
+    counts = confusion(found, labels)
     return {
         "rows": results.total,
-        "tampered": int(true.sum()),
+        "tampered": int(labels.sum()),
         "found": int(found.sum()),
         "both": int(counts.tp),
         **{name: getattr(counts, name) for name in MEASURES},
-        "auc": auc(scores, true),
+        "auc": auc(scores, labels),
     }
 
 
-def _labels(path: Path, total: int) -> np.ndarray:
+def _read_labels(path: Path, total: int) -> np.ndarray:
     expected = f"expected a .npy of {total:,} true or false, one per row of the scene"
     try:
         labels = np.load(path, allow_pickle=False)
@@ -125,19 +116,19 @@ def _labels(path: Path, total: int) -> np.ndarray:
 
 
 def by_view(results: Results, truth: Path, warnings: list[str]) -> dict[str, Any]:
-    """Scores of the final masks and of the detector's, by view.
+    """Compute the scores of the final masks and of the masks of the detector.
 
     Args:
-        results: Of `locate`.
+        results: Results of `locate`.
         truth: A folder with a mask per camera.
-        warnings: What a user should know is added.
+        warnings: Receives what a user should know about the truth.
 
     Returns:
-        The tampered share of each view, the scores of `found` and, if there was one, of `detector`,
-        which may not have judged all views: `found_where_judged` compares with it.
+        The tampered share of each view, the scores of `found` and, if there are masks of a
+        detector, of `detector`, and of `found_where_judged` on the views of the detector.
 
     Raises:
-        InputError: if no view has a truth, or a truth is not of the view.
+        InputError: if no view has a truth, or a truth is of another view.
     """
     folder, views = FolderDetector(truth), results.cameras
     chosen = folder.select(views)
@@ -145,47 +136,48 @@ def by_view(results: Results, truth: Path, warnings: list[str]) -> dict[str, Any
         warnings.append(f"{len(views) - len(chosen)} of {len(views)} views have no mask in {truth}")
     true = {camera.name: _true_mask(folder, camera, warnings) for camera in chosen}
     warnings += folder.warnings
-    found = {camera.name: _own_mask(results, "masks", camera) for camera in chosen}
+    found = {camera.name: _read_mask(results, "masks", camera) for camera in chosen}
     judged = [c for c in chosen if image_path(results.folder / "detector", c.name).is_file()]
-    said = {camera.name: _own_mask(results, "detector", camera) for camera in judged}
+    detector = {camera.name: _read_mask(results, "detector", camera) for camera in judged}
     scores = {
         "truth": {name: float(mask.mean()) for name, mask in true.items()},
         "found": _scores(found, true),
     }
-    if not said:
+    if not detector:
         return scores
-    beside = _scores({name: found[name] for name in said}, true)
-    return scores | {"found_where_judged": beside, "detector": _scores(said, true)}
+    where_judged = _scores({name: found[name] for name in detector}, true)
+    return scores | {"found_where_judged": where_judged, "detector": _scores(detector, true)}
 
 
 def _true_mask(folder: FolderDetector, camera: Camera, warnings: list[str]) -> np.ndarray:
     truth = folder(None, camera)
     height, width = truth.shape
-    if abs(width / height - camera.width / camera.height) > ASPECT * camera.width / camera.height:
+    aspect = camera.width / camera.height
+    if abs(width / height - aspect) > ASPECT_TOLERANCE * aspect:
         raise InputError(
             f"{folder.path}: the mask of {camera.name!r} has {width} x {height} pixels, the view "
             f"{camera.width} x {camera.height}; expected masks of the same views"
         )
-    resized = f"{folder.path}: masks of another size than the views were brought to it"
+    resized = f"{folder.path}: masks of another size than their views were resized"
     if (height, width) != (camera.height, camera.width) and resized not in warnings:
         warnings.append(resized)
     return fit_to_view(truth, camera) > 0.5
 
 
-def _own_mask(results: Results, kind: str, camera: Camera) -> np.ndarray:
-    """What the run wrote of a view, which was larger than 0.5 where it still is."""
+def _read_mask(results: Results, kind: str, camera: Camera) -> np.ndarray:
+    """A mask that the run wrote."""
     path = image_path(results.folder / kind, camera.name)
     mask = read_probability(path, zero_one=False) > 0.5
     if mask.shape != (camera.height, camera.width):
         raise InputError(
             f"{path}: has {mask.shape[1]} x {mask.shape[0]} pixels, expected {camera.width} x "
-            f"{camera.height}, as result.json says; run gsc-jax locate again"
+            f"{camera.height}, as in result.json; run gsc-jax locate again"
         )
     return mask
 
 
 def _scores(masks: Masks, truth: Masks) -> dict[str, Any]:
-    """Means over the tampered views, the measures of each, and the area flagged in the others."""
+    """Measures of the tampered views and their means, and the flagged area of the others."""
     names = list(masks)
     scores = mean_over_tampered_views(list(masks.values()), [truth[name] for name in names])
     tampered = [names[view] for view in scores.views]
@@ -207,65 +199,37 @@ def _gaussian_table(scores: Mapping[str, Any]) -> list[str]:
         f"{scores['found']:,} of {scores['rows']:,} Gaussians were found, {scores['tampered']:,} "
         f"are tampered, {scores['both']:,} are both.",
         "",
-        _row("by Gaussian", [*MEASURES, "auc"]),
+        _row("by Gaussian", [*MEASURES.values(), "AUC"]),
         _row("", [scores[name] for name in (*MEASURES, "auc")]),
     ]
 
 
 def _view_table(views: Mapping[str, Any]) -> list[str]:
-    """A row per tampered view, the means, and what was flagged where nothing is."""
-    found, said = views["found"], views.get("detector")
-    lines = [_row("by view", [*MEASURES, *(f"2D {name}" for name in BESIDE if said)])]
-    for name, scores in found["per_view"].items():
-        lines.append(_scores_row(name, scores, said and said["per_view"].get(name, {})))
-    if found["per_view"]:
-        lines += _means(views)
-    else:
-        lines = ["No view shows anything tampered."]
-    if found["per_authentic_view"]:
-        lines += ["", _false_positives(views)]
-    return lines
+    """A line per tampered view, the means, and the flagged share of the authentic views.
 
-
-def _means(views: Mapping[str, Any]) -> list[str]:
-    """The mean over all views and, where the 2D detector judged some, the one over these."""
-    found, said = views["found"], views.get("detector")
-    count, judged = len(found["per_view"]), len(said["per_view"]) if said else 0
-    title = f"mean of {count}"
-    if not said or judged == count:
-        return [_scores_row(title, found, said)]
-    where_judged = _scores_row(f"mean of the {judged} judged", views["found_where_judged"], said)
-    return [_scores_row(title, found, {}), *([where_judged] if judged else [])]
-
-
-def _scores_row(title: str, found: Mapping[str, Any], said: Mapping[str, Any] | None) -> str:
-    """A row of the table by view."""
-    cells = [found[name] for name in MEASURES]
-    return _row(title, cells + [said.get(name) for name in BESIDE if said is not None])
-
-
-def _false_positives(views: Mapping[str, Any]) -> str:
-    """What was flagged of the authentic views, and of those that the 2D detector judged."""
-    found, said = views["found"], views.get("detector")
-    count = len(found["per_authentic_view"])
-    judged = len(said["per_authentic_view"]) if said else 0
-    which = "the authentic view" if count == 1 else f"the {count} authentic views"
-    line = f"Of {which}, {share(found['false_positive_area'])} was found"
-    if not said or not judged:
-        return f"{line}."
-    if judged < count:
-        area = share(views["found_where_judged"]["false_positive_area"])
-        line += f"; of the {judged} that the 2D detector judged, {area}"
-    return f"{line}, and {share(said['false_positive_area'])} flagged by the 2D detector."
+    The detector may not have judged all views, so that its mean has the mean of `found` over the
+    same views beside it.
+    """
+    found, detector = views["found"], views.get("detector")
+    means = {f"mean of {len(found['per_view'])}": found}
+    if detector:
+        judged = f"on {len(detector['per_view'])} + {len(detector['per_authentic_view'])} judged"
+        means |= {f"found {judged}": views["found_where_judged"], f"2D masks {judged}": detector}
+    lines = [_row("by view", [*MEASURES.values(), "authentic"])]
+    for name, scores in {**found["per_view"], **means}.items():
+        area = scores.get("false_positive_area")
+        cells = [scores[measure] for measure in MEASURES]
+        lines.append(_row(name, [*cells, None if area is None else share(area)]))
+    return [*lines, "", "authentic: found share of the views that show nothing tampered"]
 
 
 def _row(name: str, cells: Sequence[str | float | None]) -> str:
-    """A name, cut to its end where it is long, and numbers or titles."""
-    name = name if len(name) <= NAME else f"...{name[3 - NAME :]}"
-    return f"{name:{NAME}}" + "".join(f"{_cell(cell):>10}" for cell in cells)
+    """A line of a table; a long name is cut at its beginning."""
+    name = name if len(name) <= NAME_WIDTH else f"...{name[3 - NAME_WIDTH :]}"
+    return f"{name:{NAME_WIDTH}}" + "".join(f"{_cell(cell):>10}" for cell in cells)
 
 
 def _cell(value: str | float | None) -> str:
     if isinstance(value, str):
-        return TITLES.get(value, value)
+        return value
     return "-" if value is None or math.isnan(value) else f"{value:.3f}"

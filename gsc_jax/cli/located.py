@@ -1,4 +1,4 @@
-"""A finished run of `locate`, as those who tell of it are given it."""
+"""A finished run of `locate`, the input of the report and of the summary."""
 
 import dataclasses
 
@@ -11,7 +11,16 @@ from gsc_jax.scene import Camera
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Located:
-    """A finished run of `locate`: the scene file, the cameras looked from, and what was found."""
+    """A finished run of `locate`.
+
+    Attributes:
+        scene: The scene file.
+        cameras: The views that have a mask in the result.
+        result: The result of `gsc_jax.locate`.
+        stages: Seconds and peak memory in MiB of each stage, reading and writing included.
+        seconds: Wall time, reading and writing included.
+        warnings: Sentences for the user.
+    """
 
     scene: PlyScene
     cameras: list[Camera]
@@ -22,5 +31,5 @@ class Located:
 
     @property
     def visible_share(self) -> float:
-        """Mean share of a view that is tampered."""
+        """Tampered share of a view, averaged over the views."""
         return float(np.mean([mask.mean() for mask in self.result.masks.values()]))

@@ -1,44 +1,32 @@
-"""Progress bars: one per stage, on a terminal; silence where nobody watches.
-
-A bar shows what is done, how long that took, how long the rest will take at this rate, and the
-rate: of "look", the views that a 2D network has judged.
-"""
+"""Progress bars: one per stage on a terminal, nothing elsewhere."""
 
 import sys
-from types import TracebackType
 from typing import TextIO
 
 from tqdm import tqdm
 
-UNITS: dict[str, str] = dict.fromkeys(("look", "masks", "render"), "view")
-"""What is counted, where it is not steps."""
+UNITS: dict[str, str] = dict.fromkeys(("views", "masks", "render"), "view")
+"""Unit of each stage that counts something other than steps."""
 
 
 class Bars:
-    """Draws the `Progress` of a run: a bar for each stage, which stays when the next begins."""
+    """A `Progress` that draws a bar for each stage; a bar stays when the next one begins.
 
-    def __init__(self, stream: TextIO | None = None):
-        """Draws nothing yet.
+    Args:
+        stream: Where to draw, by default stderr; nothing is drawn unless it is a terminal.
+    """
 
-        Args:
-            stream: Where to draw, by default stderr; if that is no terminal, nothing is drawn.
-        """
+    def __init__(self, stream: TextIO | None = None) -> None:
         self._stream = stream or sys.stderr
         self._stage = ""
         self._bar: tqdm | None = None
 
     def __call__(self, stage: str, done: int, total: int) -> None:
-        """Show how far a stage is.
-
-        Args:
-            stage: Name of the stage; another one than before begins a bar.
-            done: How much of it is done.
-            total: How much there is to do.
-        """
+        """Show that `done` of `total` items of a stage are finished."""
         if self._bar is None or stage != self._stage:
             self.close()
-            # Of None tqdm makes: disabled unless the stream is a terminal. What is done when a
-            # bar begins took no time that it could know of, and says nothing of the rate.
+            # `disable=None` disables the bar unless the stream is a terminal. `initial` excludes
+            # what was done before the bar began from the rate.
             self._bar = tqdm(
                 desc=f"{stage:8}",
                 total=total,
@@ -49,24 +37,17 @@ class Bars:
             )
             self._stage = stage
         self._bar.update(done - self._bar.n)
-        if done >= total:  # what comes before the next stage is not of this one
+        if done >= total:  # the time until the next stage does not belong to this one
             self.close()
 
     def close(self) -> None:
-        """End the bar that is being drawn."""
+        """End the current bar, so that the cursor is on a new line."""
         if self._bar is not None:
             self._bar.close()
         self._bar = None
 
     def __enter__(self) -> "Bars":
-        """Nothing to prepare."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        """Leave the cursor on a line of its own, whatever happened."""
+    def __exit__(self, *error: object) -> None:
         self.close()

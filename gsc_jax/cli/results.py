@@ -1,7 +1,7 @@
-"""What `gsc-jax locate` left in a folder, read back for those who look at it or grade it.
+"""Reading the folder of results of `gsc-jax locate`.
 
-All of it has to fit together, or the folder is refused: nothing is read from elsewhere, where it
-may have changed since.
+Files that do not fit together are refused. Nothing outside the folder is read, where it may have
+changed since the run.
 """
 
 import dataclasses
@@ -10,11 +10,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pydantic
 
 from gsc_jax.io.cameras import load_cameras
 from gsc_jax.io.masks import image_path
 from gsc_jax.io.ply import read_ply
+from gsc_jax.io.validation import one_line
 from gsc_jax.scene import Camera, Gaussians, InputError
+
+AGAIN = "run gsc-jax locate again"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -22,14 +26,14 @@ class Results:
     """A folder of results.
 
     Attributes:
-        folder: Where they are.
-        report: What result.json says.
+        folder: The folder.
+        report: Content of result.json.
         gaussians: The N Gaussians that can be rendered, NumPy float32.
-        rows: Row of each of them in the scene that was given, ascending, shape (N,) int64.
-        total: Number of rows of that scene, with those left out.
+        rows: Row of each of them in the scene file, ascending, shape (N,) int64.
+        total: Number of rows of the scene file.
         tamper: Scores in [0, 1], shape (N,) float32.
         labels: Tampered Gaussians, shape (N,) bool.
-        cameras: Those that were looked from, at the size of their masks.
+        cameras: The cameras of the masks, at the size of the masks.
     """
 
     folder: Path
@@ -43,37 +47,59 @@ class Results:
 
     @property
     def threshold(self) -> float:
-        """The score above which a Gaussian was called tampered."""
+        """Score above which a Gaussian was labelled as tampered."""
         return float(self.report["config"]["threshold"])
 
     def mask_path(self, name: str) -> Path:
-        """Where the final mask of a camera is."""
+        """File of the final mask of a camera."""
         return image_path(self.folder / "masks", name)
 
 
+class _Config(pydantic.BaseModel):
+    threshold: float
+    near: float
+
+
+class _Counts(pydantic.BaseModel):
+    gaussians: int
+    tampered: int
+
+
+class _View(pydantic.BaseModel):
+    name: str
+    width: int
+    height: int
+
+
+class _Report(pydantic.BaseModel):
+    """The keys of result.json that are read again."""
+
+    config: _Config
+    counts: _Counts
+    per_view: list[_View]
+    tampered_share_of_views: float
+
+
 def read_results(folder: str | Path) -> Results:
-    """Reads what `gsc-jax locate` wrote.
+    """Read the results of `gsc-jax locate`.
 
     Args:
-        folder: Its --out.
-
-    Returns:
-        The results.
+        folder: The --out of the run.
 
     Raises:
         InputError: if the folder holds no results, or files of it are missing, damaged, of another
-            version or of another scene.
+            version or of another run.
     """
     folder = Path(folder)
-    report = _report(folder)
+    report = _read_report(folder)
     scene = read_ply(folder / "tamper.ply")
-    tamper = _by_row(folder / "tamper.npy", scene.total, np.floating)
-    labels = _by_row(folder / "labels.npy", scene.total, np.bool_)
-    said, found = report["counts"]["tampered"], int(np.count_nonzero(labels[scene.rows]))
-    if said != found:
+    tamper = _read_by_row(folder / "tamper.npy", scene.total, np.floating)
+    labels = _read_by_row(folder / "labels.npy", scene.total, np.bool_)
+    expected, found = report["counts"]["tampered"], int(np.count_nonzero(labels[scene.rows]))
+    if expected != found:
         raise InputError(
-            f"{folder / 'labels.npy'}: {found:,} Gaussians are tampered, but result.json tells of "
-            f"{said:,}; they are of different runs: run gsc-jax locate again"
+            f"{folder / 'labels.npy'}: {found:,} Gaussians are labelled, but {expected:,} in "
+            f"result.json; they are of different runs: {AGAIN}"
         )
     return Results(
         folder=folder,
@@ -83,65 +109,52 @@ def read_results(folder: str | Path) -> Results:
         total=scene.total,
         tamper=tamper[scene.rows].astype(np.float32),
         labels=labels[scene.rows],
-        cameras=_cameras(folder / "views.json", report["per_view"]),
+        cameras=_read_cameras(folder / "views.json", report["per_view"]),
     )
 
 
-def _report(folder: Path) -> dict[str, Any]:
-    """result.json, once it is known to hold what is used of it."""
+def _read_report(folder: Path) -> dict[str, Any]:
     path = folder / "result.json"
     if not path.is_file():
         found = "holds no results of gsc-jax locate" if folder.is_dir() else "no such folder"
         raise InputError(f"{folder}: {found} (result.json); give the --out of a run")
+    report = None
     try:
         report = json.loads(path.read_text(encoding="utf-8"))
-        _used(report)
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: damaged ({error}); run gsc-jax locate again") from error
-    except (LookupError, TypeError) as error:
+        _Report.model_validate(report)
+    except pydantic.ValidationError as error:
         raise InputError(
-            f"{path}: not of a version of gsc-jax locate that can be read ({error} is missing or "
-            "different); run gsc-jax locate again"
+            f"{one_line(error, str(path), report)}; the version is another one: {AGAIN}"
         ) from error
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: damaged ({error}); {AGAIN}") from error
     return report
 
 
-def _used(report: dict[str, Any]) -> list[Any]:
-    """All that is used of a report, of its type; raises where it is not there."""
-    config, counts, views = report["config"], report["counts"], report["per_view"]
-    return [
-        *(float(config[key]) for key in ("threshold", "near")),
-        *(int(counts[key]) for key in ("gaussians", "tampered")),
-        *((str(view["name"]), int(view["width"]), int(view["height"])) for view in views),
-        float(report["tampered_share_of_views"]),
-    ]
-
-
-def _by_row(path: Path, total: int, kind: type) -> np.ndarray:
-    """An array with a value per row of the scene."""
+def _read_by_row(path: Path, total: int, kind: type) -> np.ndarray:
+    """An array with a value per row of the scene file."""
     try:
         values = np.load(path, allow_pickle=False)
     except FileNotFoundError as error:
-        raise InputError(f"{path}: no such file; run gsc-jax locate again") from error
+        raise InputError(f"{path}: no such file; {AGAIN}") from error
     except (OSError, ValueError, EOFError) as error:
-        raise InputError(f"{path}: damaged ({error}); run gsc-jax locate again") from error
+        raise InputError(f"{path}: damaged ({error}); {AGAIN}") from error
     if values.shape != (total,) or not np.issubdtype(values.dtype, kind):
         raise InputError(
             f"{path}: holds {values.dtype} values of shape {values.shape}, but tamper.ply has "
-            f"{total:,} rows; they are of different runs: run gsc-jax locate again"
+            f"{total:,} rows; they are of different runs: {AGAIN}"
         )
     return values
 
 
-def _cameras(path: Path, views: list[dict[str, Any]]) -> list[Camera]:
-    """The cameras looked from, in the order of the report."""
+def _read_cameras(path: Path, views: list[dict[str, Any]]) -> list[Camera]:
     if not path.is_file():
-        raise InputError(f"{path}: no such file; run gsc-jax locate again")
+        raise InputError(f"{path}: no such file; {AGAIN}")
     cameras = load_cameras(path)
     stored = [(camera.name, camera.width, camera.height) for camera in cameras]
     if stored != [(view["name"], view["width"], view["height"]) for view in views]:
         raise InputError(
-            f"{path}: has not the {len(views)} cameras that result.json tells of; they are of "
-            "different runs: run gsc-jax locate again"
+            f"{path}: the cameras are not the {len(views)} of result.json; they are of different "
+            f"runs: {AGAIN}"
         )
     return cameras

@@ -1,13 +1,13 @@
-"""How every command reads a scene: the file, the cameras, and what can be wrong with either."""
+"""Reading and checking the scene and the cameras, as all commands do."""
 
 import contextlib
 import math
+import signal
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from gsc_jax.cli.options import Look
-from gsc_jax.cli.outputs import evenly
-from gsc_jax.evidence.monitor import Progress
+from gsc_jax.cli.options import SceneOptions
+from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.io.cameras import load_cameras
 from gsc_jax.io.masks import image_path
 from gsc_jax.io.ply import PlyScene, read_ply
@@ -15,11 +15,13 @@ from gsc_jax.render.orbit import orbit_cameras
 from gsc_jax.scene import Camera, Gaussians, InputError
 
 ORBIT_VIEWS = 24
-MIN_SIDE, MAX_PIXELS = 8, 50_000_000
+"""Number of cameras on an orbit: one every 15 degrees."""
+MIN_SIDE_PIXELS, MAX_PIXELS = 8, 50_000_000
+"""Limits of image sizes; beyond them, --scale is most likely a typing error."""
 
 
-def check_look(options: Look) -> None:
-    """Refuses numbers that mean nothing, before anything is read."""
+def check_numbers(options: SceneOptions) -> None:
+    """Refuse numbers outside their range before anything is read."""
     if options.views is not None and options.views < 1:
         raise InputError(f"--views {options.views}: expected at least one view")
     for flag, value in (("scale", options.scale), ("near", options.near)):
@@ -29,75 +31,99 @@ def check_look(options: Look) -> None:
         raise InputError(f"--seed {options.seed}: expected 0 or more")
 
 
-def load_scene(
-    options: Look, warnings: list[str], progress: Progress
+def read_scene(
+    options: SceneOptions, warnings: list[str], monitor: Monitor
 ) -> tuple[PlyScene, list[Camera]]:
-    """The scene, and the cameras at their scale, whose names can name files."""
-    progress("load", 0, 2)
+    """Read the scene file and the cameras, scaled and with names that can name files.
+
+    Args:
+        options: Arguments of the command line.
+        warnings: Receives what a user should know about the files.
+        monitor: Receives progress.
+
+    Raises:
+        InputError: if a file is invalid.
+    """
+    monitor.progress("load", 0, 2)
     scene = read_ply(options.scene)
     if scene.dropped:
         warnings.append(f"{options.scene}: {scene.dropped_summary}")
     if "tamper" in {p.name for element in scene.ply.elements for p in element.properties}:
-        warnings.append(f"{options.scene}: has a property tamper already; results replace it")
-    progress("load", 1, 2)
-    cameras = _cameras(options, scene.gaussians, warnings)
-    with about(options.cameras or options.scene):
+        warnings.append(f"{options.scene}: already has a property tamper, which is replaced")
+    monitor.progress("load", 1, 2)
+    cameras = _read_cameras(options, scene.gaussians, warnings)
+    with naming(options.cameras or options.scene):
         _check_names(cameras)
-    progress("load", 2, 2)
+    monitor.progress("load", 2, 2)
     return scene, cameras
 
 
-def _cameras(options: Look, gaussians: Gaussians, warnings: list[str]) -> list[Camera]:
+def _read_cameras(options: SceneOptions, gaussians: Gaussians, warnings: list[str]) -> list[Camera]:
     if options.cameras is not None:
         cameras = load_cameras(options.cameras)
+        # Importing pycolmap replaces the handler of SIGTERM behind Python's back.
+        handler = signal.getsignal(signal.SIGTERM)
+        with contextlib.suppress(ValueError):  # raised outside of the main thread
+            signal.signal(signal.SIGTERM, handler)
     else:
         count = options.views or ORBIT_VIEWS
         cameras = orbit_cameras(gaussians, count, seed=options.seed)
         warnings.append(
-            f"no --cameras given: {count} cameras were placed around the scene, -y up, and written "
-            "beside the results; those that the scene was trained with see it best"
+            f"no --cameras given: {count} cameras were placed on an orbit around the scene, -y up, "
+            "and written beside the results; the cameras of the training show the scene better"
         )
     scaled = [camera.scaled(options.scale) for camera in cameras]
     for camera in scaled:
-        size = f"{camera.width} x {camera.height}"
-        if min(camera.width, camera.height) < MIN_SIDE or camera.width * camera.height > MAX_PIXELS:
+        pixels, side = camera.width * camera.height, min(camera.width, camera.height)
+        if side < MIN_SIDE_PIXELS or pixels > MAX_PIXELS:
             raise InputError(
-                f"--scale {options.scale:g}: camera {camera.name!r} would have {size} pixels, "
-                f"expected sides of at least {MIN_SIDE} and at most {MAX_PIXELS:,} pixels in all"
+                f"--scale {options.scale:g}: camera {camera.name!r} would have {camera.width} x "
+                f"{camera.height} pixels, expected sides of at least {MIN_SIDE_PIXELS} and at most "
+                f"{MAX_PIXELS:,} pixels in total"
             )
     return scaled
 
 
-def chosen_cameras(options: Look, cameras: Sequence[Camera], warnings: list[str]) -> list[Camera]:
-    """As many of the cameras as were asked for."""
+def choose_cameras(
+    options: SceneOptions, cameras: Sequence[Camera], warnings: list[str]
+) -> list[Camera]:
+    """The --views of the cameras, evenly spaced; all of them without the option."""
     count = options.views or len(cameras)
     if count > len(cameras):
-        warnings.append(
-            f"--views {count}: only {len(cameras)} cameras can be used, all of them are"
-        )
-    return evenly(cameras, count)
+        warnings.append(f"--views {count}: there are only {len(cameras)} usable cameras")
+    return evenly_spaced(cameras, count)
+
+
+def evenly_spaced(cameras: Sequence[Camera], count: int) -> list[Camera]:
+    """At most `count` cameras, evenly spaced in their order.
+
+    The last camera is left out: on a closed path it is next to the first.
+    """
+    count = min(count, len(cameras))
+    return [cameras[i * len(cameras) // count] for i in range(count)]
 
 
 def _check_names(cameras: Sequence[Camera]) -> None:
-    """Refuses cameras whose pictures could not be told apart or named inside the folder."""
+    """Refuse names of cameras that cannot name files, or name the same file."""
     names: dict[Path, str] = {}
     for camera in cameras:
         if camera.name != camera.name.encode(errors="replace").decode():  # lone surrogates
             raise InputError(
-                f"camera {camera.name!r}: is no text, which masks and outputs go by; rename it"
+                f"camera {camera.name!r}: its name is not valid text and cannot name files; rename "
+                "it"
             )
         path = image_path("masks", camera.name)
         if path in names:
             raise InputError(
-                f"cameras {names[path]!r} and {camera.name!r} have one name but for the slashes, "
-                "and masks and outputs go by it; rename one"
+                f"cameras {names[path]!r} and {camera.name!r} would share one mask file, as their "
+                "names differ only in slashes; rename one"
             )
         names[path] = camera.name
 
 
 @contextlib.contextmanager
-def about(path: Path) -> Iterator[None]:
-    """Puts the file in question before the message of an InputError."""
+def naming(path: Path) -> Iterator[None]:
+    """Prefix the message of an InputError with a file name."""
     try:
         yield
     except InputError as error:

@@ -1,13 +1,12 @@
-"""A folder of results, written aside and put in place when all of it is there.
+"""A folder of results that is written aside and moved into place when it is complete.
 
-A run that fails, or is interrupted, leaves the folder as it was. One that succeeds replaces what
-the run before wrote: also masks of cameras that are no longer used, so that what lies in the folder
-belongs together. Nothing else in the folder is touched, and never what this run was given.
+A run that fails or is interrupted leaves the folder as it was. A run that succeeds replaces the
+files of the run before, including masks of cameras that it does not use, so that the files in the
+folder belong together. No other file is touched, and no input of the run.
 
-The reports are the first to go and the last to come. So where a run is killed, or the disk is full,
-just while its results are put in place, the folder holds no results, rather than a report of others
-than those that lie there. What such a run could not remove, a later one does, once it is so old
-that nobody works on it.
+Old reports are removed first and new ones are moved last. If the process is killed or the disk is
+full while files are moved, the folder holds no report instead of a report of other files. A later
+run removes temporary folders that were left behind.
 """
 
 import contextlib
@@ -16,43 +15,42 @@ import shutil
 import tempfile
 import time
 from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path, PurePosixPath
 
-from gsc_jax.cli.interruption import uninterrupted
 from gsc_jax.scene import InputError
 
 UNFINISHED = ".unfinished-"
-"""How the folders are called in which results are collected."""
+"""Prefix of temporary folders."""
 ABANDONED_SECONDS = 24 * 3600
-"""After which one that nothing was added to is somebody's no longer."""
+"""Age at which a temporary folder is abandoned: no run takes a day without writing to it."""
 OUTPUTS = {
     "overview.png": "a few views side by side",
-    "render/": "the views as they are",
-    "overlay/": "the views with what was found marked",
+    "render/": "renders of the views",
+    "overlay/": "renders with the final mask",
     "masks/": "final masks, 0 or 255",
-    "detector/": "what the 2D detector said, 0 to 255",
+    "detector/": "probability maps of the 2D detector, 0 to 255",
     "tamper.ply": "the scene, plus a property tamper",
     "highlight.ply": "for any viewer: tampered red, the rest grey",
     "labels.npy": "bool, by row of the scene",
     "tamper.npy": "score from 0 to 1, by row of the scene",
-    "views.json": "the cameras looked from, a cameras.json",
+    "views.json": "the cameras of the masks, a cameras.json",
     "report.html": "this page, for people",
-    "result.json": "its numbers, for programs",
+    "result.json": "the same numbers, for programs",
 }
-"""What `locate` leaves in its folder, in the order in which people are told."""
+"""What `locate` writes, in the order of the report."""
 FILES = tuple(name for name in OUTPUTS if not name.endswith("/"))
 BY_CAMERA = tuple(name.rstrip("/") for name in OUTPUTS if name.endswith("/"))
-"""Folders with a picture per camera, of which some may be left over from another run."""
+"""Folders with a picture per camera."""
 PICTURES = (".png", ".jpg")
-"""How the files in them end."""
 EVALUATION = "evaluation.json"
-"""Scores of the results, of no use beside those of another run."""
+"""Scores of the results; they do not apply to the results of another run."""
 
 
 def refuse_overlap(
     out: Path, inputs: Sequence[Path], *, written: Sequence[str] = (*FILES, *BY_CAMERA)
 ) -> None:
-    """Refuse a folder of results that would overwrite what the run reads.
+    """Refuse a folder of results in which the run would overwrite its input.
 
     Args:
         out: The folder of results.
@@ -60,16 +58,16 @@ def refuse_overlap(
         written: Names in the folder that are written.
 
     Raises:
-        InputError: naming the input that is in the way.
+        InputError: naming the input.
     """
     results = [(out / name).resolve() for name in written]
-    # A folder is read for what is in it: DIR/cameras.json, where that is what the run writes.
+    # A folder is read for the files in it, such as DIR/cameras.json.
     inside = [folder / name for folder in inputs for name in written if folder.is_dir()]
     for path in [*inputs, *(path for path in inside if path.exists())]:
-        if any(path.resolve() == one or one in path.resolve().parents for one in results):
+        if any(path.resolve().is_relative_to(result) for result in results):
             raise InputError(
-                f"{path}: is read and would be overwritten by the results; give another --out "
-                f"than {out}"
+                f"{path}: is an input, and the results would overwrite it; give another --out than "
+                f"{out}"
             )
 
 
@@ -81,39 +79,37 @@ def replacing(
     report: str = "result.json",
     by_camera: Sequence[str] = BY_CAMERA,
 ) -> Iterator[Path]:
-    """A folder to write into, whose files go to `out` when the block ends well.
+    """Provide a temporary folder whose files are moved to `out` if the block succeeds.
 
     Args:
-        out: The folder of results, made where missing.
+        out: The folder of results, created if missing.
         keep: Files and folders that the run reads; none of them is removed as a leftover.
-        report: The file that lists the `outputs`; it comes last, after report.html where there is
-            one, so that it never tells of what is not there.
-        by_camera: Folders with a picture per camera, of which an earlier run may have left some.
+        report: The file that lists the `outputs`; it is moved last, after report.html.
+        by_camera: Folders with a picture per camera, in which an earlier run may have left some.
 
     Yields:
         An empty folder inside `out`.
 
     Raises:
-        InputError: if `out` cannot be written to, or a folder lies where a file belongs.
+        InputError: if `out` cannot be written to, or a folder exists where a file belongs.
     """
-    made = [place for place in (out, *out.parents) if not place.exists()]
+    created = [place for place in (out, *out.parents) if not place.exists()]
     try:
-        folder = _unfinished(out)
+        folder = _temporary_folder(out)
         try:
             yield folder
-        except KeyboardInterrupt as stop:
-            stop.add_note(f"nothing was changed in {out}")
-            raise
         except InputError as error:
             raise InputError(str(error).replace(str(folder), str(out))) from error
         else:
-            with uninterrupted():
-                _publish(folder, out, report, _leftovers(out, report, by_camera, keep))
+            leftovers = _leftovers(out, report, by_camera, keep)
+            # In a thread: a signal interrupts the main thread, which then waits for the pool.
+            with ThreadPoolExecutor(1) as pool:
+                pool.submit(_publish, folder, out, report, leftovers).result()
         finally:
             shutil.rmtree(folder, ignore_errors=True)
     finally:
-        with contextlib.suppress(OSError):  # it holds results
-            for place in made:
+        with contextlib.suppress(OSError):  # not empty: it holds results
+            for place in created:
                 place.rmdir()
 
 
@@ -123,18 +119,21 @@ def files_below(folder: Path) -> list[str]:
     return sorted(path.as_posix() for path in paths)
 
 
-def _unfinished(out: Path) -> Path:
-    """A new folder inside the folder of results."""
+def _temporary_folder(out: Path) -> Path:
+    """A new folder inside the folder of results, from which abandoned ones are removed."""
     try:
         out.mkdir(parents=True, exist_ok=True)
-        _remove_abandoned(out)
+        for folder in out.glob(f"{UNFINISHED}*"):
+            with contextlib.suppress(OSError):  # another run may be removing it, too
+                if time.time() - folder.stat().st_mtime > ABANDONED_SECONDS:
+                    shutil.rmtree(folder, ignore_errors=True)
         return Path(tempfile.mkdtemp(prefix=UNFINISHED, dir=out))
     except OSError as error:
-        raise InputError(f"{out}: {_cannot(error)}") from error
+        raise _not_writable(out, error) from error
 
 
 def _publish(folder: Path, out: Path, report: str, leftovers: Iterable[str]) -> None:
-    """Moves the new files to their places, once what tells of others is gone."""
+    """Remove old reports and leftovers, then move the new files into place."""
     names = files_below(folder)
     _refuse_blocked(out, names)
     last = [name for name in ("report.html", report) if name in names]
@@ -145,53 +144,48 @@ def _publish(folder: Path, out: Path, report: str, leftovers: Iterable[str]) -> 
             (out / name).parent.mkdir(parents=True, exist_ok=True)
             (folder / name).replace(out / name)
     except OSError as error:
-        raise InputError(f"{out}: {_cannot(error)}") from error
+        raise _not_writable(out, error) from error
 
 
 def _refuse_blocked(out: Path, names: Sequence[str]) -> None:
-    """Refuses folders where files belong, and files where folders do."""
+    """Refuse folders where files belong, and files where folders belong."""
     files = [out / name for name in names if (out / name).is_dir()]
     parents = {out / place for name in names for place in PurePosixPath(name).parents}
     folders = [place for place in sorted(parents) if place.exists() and not place.is_dir()]
     if blocked := [*files, *folders]:
-        found = "folder" if files else "file"
+        kind = "folder" if files else "file"
         raise InputError(
-            f"{blocked[0]}: is a {found}, which is in the way of the results; move it, or give "
-            f"another --out than {out}"
+            f"{blocked[0]}: is a {kind}, where the results would go; move it, or give another "
+            f"--out than {out}"
         )
 
 
-def _remove_abandoned(out: Path) -> None:
-    """Removes what runs have left that were killed."""
-    for folder in out.glob(f"{UNFINISHED}*"):
-        with contextlib.suppress(OSError):  # another run may be removing it, too
-            if time.time() - folder.stat().st_mtime > ABANDONED_SECONDS:
-                shutil.rmtree(folder, ignore_errors=True)
-
-
 def _leftovers(out: Path, report: str, by_camera: Sequence[str], keep: Sequence[Path]) -> list[str]:
-    """Files of an earlier run, but for those that this one reads."""
-    given = [path.resolve() for path in keep]
+    """Pictures and scores of an earlier run, except inputs of this one.
 
-    def is_given(path: Path) -> bool:
-        return any(path.resolve().is_relative_to(place) for place in given)
-
-    earlier = [(name, out / name) for name in _earlier(out / report, by_camera)]
-    there = [(name, path) for name, path in earlier if path.is_file() or path.is_symlink()]
-    return [name for name, path in there if not is_given(path)]
-
-
-def _earlier(report: Path, by_camera: Sequence[str]) -> list[str]:
-    """What an earlier run wrote into the folder and a later one may not write again."""
+    The old report may be damaged or of another program, so that only its entries that are pictures
+    in one of the folders count.
+    """
     try:
-        outputs = json.loads(report.read_text(encoding="utf-8"))["outputs"]
+        outputs = json.loads((out / report).read_text(encoding="utf-8"))["outputs"]
         paths = [PurePosixPath(name) for name in outputs]
     except (OSError, ValueError, LookupError, TypeError):
-        return []  # there is none, or the file is somebody else's
-    pictures = [path for path in paths if path.suffix in PICTURES and ".." not in path.parts]
-    own = [str(path) for path in pictures if path.parts[0] in by_camera]
-    return [*own, EVALUATION] if PurePosixPath("result.json") in paths else own
+        return []
+    names = [
+        str(path)
+        for path in paths
+        if path.suffix in PICTURES and path.parts[0] in by_camera and ".." not in path.parts
+    ]
+    names += [EVALUATION] if PurePosixPath("result.json") in paths else []
+    inputs = [path.resolve() for path in keep]
+
+    def removable(path: Path) -> bool:
+        exists = path.is_file() or path.is_symlink()
+        return exists and not any(path.resolve().is_relative_to(place) for place in inputs)
+
+    return [name for name in names if removable(out / name)]
 
 
-def _cannot(error: OSError) -> str:
-    return f"cannot be written to ({error.strerror or error}); choose another place"
+def _not_writable(path: Path, error: OSError) -> InputError:
+    reason = error.strerror or error
+    return InputError(f"{path}: cannot be written to ({reason}); choose another place")

@@ -1,10 +1,6 @@
-"""The command `tamper`: a scene file in, an edited one with its exact truth out, to test with.
-
-What it writes is what `locate` reads, and what its results can be compared with.
-"""
+"""`gsc-jax tamper`: edit a scene file and write it with its truth, to test `locate`."""
 
 import dataclasses
-import json
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,19 +8,24 @@ from pathlib import Path
 import jax
 import numpy as np
 
+from gsc_jax.benchmark.incorporation import extent
 from gsc_jax.benchmark.metrics import truth_mask
-from gsc_jax.benchmark.pasting import extent
 from gsc_jax.benchmark.scenes import make_object
 from gsc_jax.benchmark.simulate import REGIMES, decoy_labels, simulate
 from gsc_jax.benchmark.tamper import Tampered, tamper
 from gsc_jax.cli.options import Tamper
-from gsc_jax.cli.outputs import evenly, plain, versions
+from gsc_jax.cli.outputs import save_array, versions, write_json
 from gsc_jax.cli.pictures import contact_sheet, overlay
-from gsc_jax.cli.scene_input import about, check_look, chosen_cameras, load_scene
+from gsc_jax.cli.scene_input import (
+    check_numbers,
+    choose_cameras,
+    evenly_spaced,
+    naming,
+    read_scene,
+)
 from gsc_jax.cli.staging import files_below, refuse_overlap, replacing
-from gsc_jax.evidence.monitor import Progress, silent
+from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.io.cameras import save_cameras
-from gsc_jax.io.files import atomic
 from gsc_jax.io.masks import image_path, write_mask, write_probability
 from gsc_jax.io.ply import load_ply, save_ply
 from gsc_jax.render.projection import NEAR
@@ -33,34 +34,37 @@ from gsc_jax.scene import Camera, Gaussians, InputError
 from gsc_jax.splat import render
 
 OUTPUTS = ("scene.ply", "cameras.json", "labels.npy", "masks", "truth")
-ROWS = 4
+OVERVIEW_ROWS = 4
+"""Rows of overview.png: as many as fit on a screen."""
 
 
-def run_tamper(options: Tamper, *, progress: Progress = silent) -> tuple[list[str], list[str]]:
-    """Edits a scene file and writes the result with its truth.
+def run_tamper(options: Tamper, *, monitor: Monitor) -> tuple[list[str], list[str]]:
+    """Edit a scene file and write the result with its truth.
 
     Args:
-        options: The arguments of the command line.
-        progress: Called with (stage, done, total).
+        options: Arguments of the command line.
+        monitor: Receives progress.
 
     Returns:
-        What to print, line by line, and warnings.
+        Lines to print, and warnings.
 
     Raises:
-        InputError: if an input is wrong, no place for the edit is found, or nothing can be written.
+        InputError: if an input is invalid, no place for the edit is found, or nothing can be
+            written.
     """
     warnings: list[str] = []
-    check_look(options)
-    read = _check(options)
-    scene, cameras = load_scene(options, warnings, progress)
-    cameras = chosen_cameras(options, cameras, warnings) if options.views else cameras
+    check_numbers(options)
+    files = _check(options)
+    scene, cameras = read_scene(options, warnings, monitor)
+    cameras = choose_cameras(options, cameras, warnings)
     donor = _donor(options)
-    leaves = {"report": "edit.json", "by_camera": ("masks", "truth")}
-    with replacing(options.out, keep=read, **leaves) as folder:
-        progress("edit", 0, 1)
-        with about(options.cameras or options.scene):
+    with replacing(
+        options.out, keep=files, report="edit.json", by_camera=("masks", "truth")
+    ) as folder:
+        monitor.progress("edit", 0, 1)
+        with naming(options.cameras or options.scene):
             warnings += check_views(scene.gaussians, cameras, near=options.near)
-        with about(options.scene):
+        with naming(options.scene):
             edited = tamper(
                 scene.gaussians,
                 cameras,
@@ -70,36 +74,39 @@ def run_tamper(options: Tamper, *, progress: Progress = silent) -> tuple[list[st
                 near=options.near,
                 seed=options.seed,
             )
-        progress("edit", 1, 1)
+        monitor.progress("edit", 1, 1)
         if edited.labels.mean() > 0.5:
             share = f"{edited.labels.mean():.0%}"
-            warnings.append(f"{share} of the Gaussians are tampered; the scene is small for this")
-        _write(folder, options, scene.gaussians, edited, cameras, progress)
-    return _story(options, edited), warnings
+            warnings.append(f"{share} of the Gaussians are tampered; the scene is too small")
+        _write(folder, options, edited, cameras, monitor)
+        _write_overview(folder / "overview.png", scene.gaussians, edited, cameras, options.near)
+        _write_description(folder, options, edited, cameras)
+    return _lines(options, edited), warnings
 
 
 def _check(options: Tamper) -> list[Path]:
-    """Refuses what can be seen before anything is read; the paths that will be read."""
+    """Refuse invalid options before anything is read; return the files that will be read."""
     if options.object is not None and options.edit != "incorporation":
-        raise InputError(f"--object: a {options.edit} pastes nothing, leave it out")
+        raise InputError(f"--object: a {options.edit} pastes nothing; leave it out")
     if not 0 < options.size <= 0.5:
         raise InputError(
             f"--size {options.size:g}: expected a share of the pixels above 0, up to 0.5"
         )
     if (options.out / "result.json").exists():
         raise InputError(f"{options.out}: holds results of `locate`; give another --out")
-    there = [name for name in OUTPUTS if (options.out / name).exists()]
-    if there and not (options.out / "edit.json").exists():
+    existing = [name for name in OUTPUTS if (options.out / name).exists()]
+    if existing and not (options.out / "edit.json").exists():
         raise InputError(
-            f"{options.out / there[0]}: is there, and no edit of ours; give another --out"
+            f"{options.out / existing[0]}: exists and is not from `tamper`; give another --out"
         )
     given = (options.scene, options.cameras, options.object)
-    read = [path for path in given if path is not None]
-    refuse_overlap(options.out, read, written=OUTPUTS)
-    return read
+    files = [path for path in given if path is not None]
+    refuse_overlap(options.out, files, written=OUTPUTS)
+    return files
 
 
 def _donor(options: Tamper) -> Gaussians | None:
+    """The object to paste."""
     if options.edit != "incorporation":
         return None
     if options.object is None:
@@ -108,27 +115,22 @@ def _donor(options: Tamper) -> Gaussians | None:
     try:
         extent(donor)
     except ValueError as error:
-        raise InputError(f"{options.object}: {error}; expected a .ply of one thing") from error
+        raise InputError(f"{options.object}: {error}; expected a .ply of one object") from error
     return donor
 
 
 def _write(
-    folder: Path,
-    options: Tamper,
-    original: Gaussians,
-    edited: Tampered,
-    cameras: Sequence[Camera],
-    progress: Progress,
+    folder: Path, options: Tamper, edited: Tampered, cameras: Sequence[Camera], monitor: Monitor
 ) -> None:
-    """The scene, the truth, the masks of a detector that errs, and a picture."""
+    """Write the scene, the truth and the masks of the simulated detector."""
     gaussians, names = jax.device_put(edited.gaussians), [camera.name for camera in cameras]
 
     def masks(labels: np.ndarray, stage: str) -> np.ndarray:
-        found = []
+        shown = []
         for camera in cameras:
-            found.append(truth_mask(gaussians, camera, labels, near=options.near))
-            progress(stage, len(found), len(cameras))
-        return np.stack(found)
+            shown.append(truth_mask(gaussians, camera, labels, near=options.near))
+            monitor.progress(stage, len(shown), len(cameras))
+        return np.stack(shown)
 
     truth = masks(edited.labels, "truth")
     write_scene(folder, edited.gaussians, cameras, edited.labels)
@@ -136,89 +138,90 @@ def _write(
     if options.masks != "none":
         failures = REGIMES[options.masks]
         decoy = masks(_decoy(options, edited), "decoy") if failures.decoy else None
-        said = simulate(truth, decoy, seed=options.seed, failures=failures)
-        write_said(folder / "masks", dict(zip(names, said, strict=True)))
-    _write_picture(folder / "overview.png", original, edited, cameras, options.near)
-    _write_account(folder, options, edited, names)
+        maps = simulate(truth, decoy, seed=options.seed, failures=failures)
+        write_probabilities(folder / "masks", dict(zip(names, maps, strict=True)))
 
 
 def _decoy(options: Tamper, edited: Tampered) -> np.ndarray:
-    """An authentic region that the detector takes for tampered."""
+    """Labels of an authentic region that the simulated detector flags."""
     try:
         return decoy_labels(edited.gaussians, edited.labels, seed=options.seed)
     except ValueError as error:
         raise InputError(
-            f"{options.scene}: {error}, so no detector can be wrong about it; choose --masks clean"
+            f"{options.scene}: {error}, so that no authentic region can be flagged; choose --masks "
+            "clean"
         ) from error
 
 
 def write_scene(
     folder: Path, gaussians: Gaussians, cameras: Sequence[Camera], labels: np.ndarray
 ) -> None:
-    """Writes a scene and its cameras, which `locate` is given, and which Gaussians are tampered.
+    """Write scene.ply, cameras.json and labels.npy.
 
     Args:
-        folder: Where to: scene.ply, cameras.json, labels.npy.
+        folder: Folder of the files.
         gaussians: N Gaussians.
         cameras: The cameras.
         labels: True where tampered, shape (N,).
     """
     save_ply(folder / "scene.ply", gaussians)
     save_cameras(folder / "cameras.json", cameras)
-    with atomic(folder / "labels.npy") as temporary:
-        np.save(temporary, labels)
+    save_array(folder / "labels.npy", labels)
 
 
 def write_truth(folder: Path, truth: Mapping[str, np.ndarray]) -> None:
-    """Writes the tampered pixels of every view, black and white, named after its camera."""
+    """Write the tampered pixels of every view, black and white, named after its camera."""
     for name, mask in truth.items():
         write_mask(image_path(folder, name), mask)
 
 
-def write_said(folder: Path, said: Mapping[str, np.ndarray]) -> None:
-    """Writes what a detector says of every view, grey, named after its camera."""
-    for name, probability in said.items():
+def write_probabilities(folder: Path, probabilities: Mapping[str, np.ndarray]) -> None:
+    """Write the probability map of every view, grey, named after its camera."""
+    for name, probability in probabilities.items():
         write_probability(image_path(folder, name), probability)
 
 
-def _write_account(folder: Path, options: Tamper, edited: Tampered, names: Sequence[str]) -> None:
-    account = {
+def _write_description(
+    folder: Path, options: Tamper, edited: Tampered, cameras: Sequence[Camera]
+) -> None:
+    shares = zip([camera.name for camera in cameras], edited.visible, strict=True)
+    description = {
         "description": edited.description,
         "command": dataclasses.asdict(options),
         "failures": None if options.masks == "none" else dataclasses.asdict(REGIMES[options.masks]),
         "gaussians": len(edited.labels),
         "tampered": int(edited.labels.sum()),
-        "visible": dict(zip(names, edited.visible.round(5).tolist(), strict=True)),
+        "visible": {name: round(float(share), 5) for name, share in shares},
         "versions": versions(),
         "outputs": [*files_below(folder), "edit.json"],
     }
-    with atomic(folder / "edit.json") as temporary:
-        temporary.write_text(json.dumps(plain(account), indent=2) + "\n", encoding="utf-8")
+    write_json(folder / "edit.json", description)
 
 
-def _write_picture(
+def _write_overview(
     path: Path, original: Gaussians, edited: Tampered, cameras: Sequence[Camera], near: float
 ) -> None:
-    """Before, after and the truth, in the views that show most of the edit."""
+    """Scene before and after, difference and truth, in the views that show most of the edit."""
     best = np.argsort(-edited.visible, kind="stable")
-    shown = evenly([cameras[i] for i in best[: max(ROWS, len(best) // 2)]], ROWS)
+    count = max(OVERVIEW_ROWS, len(best) // 2)
+    shown = evenly_spaced([cameras[i] for i in best[:count]], OVERVIEW_ROWS)
     rows = []
     for camera in shown:
         scenes = original, edited.gaussians
         before, after = (np.asarray(render(s, camera, near=near)[0]) for s in scenes)
         truth = truth_mask(edited.gaussians, camera, edited.labels, near=near)
-        marked = overlay(after, truth)
-        rows.append([before, after, np.abs(after - before).mean(axis=-1), marked])
+        difference = np.abs(after - before).mean(axis=-1)
+        rows.append([before, after, difference, overlay(after, truth)])
     names = [camera.name for camera in shown]
     contact_sheet(path, rows, titles=("before", "after", "difference", "tampered"), labels=names)
 
 
-def _story(options: Tamper, edited: Tampered) -> list[str]:
+def _lines(options: Tamper, edited: Tampered) -> list[str]:
     out = options.out
     lines = [
         edited.description,
         f"{int(edited.labels.sum()):,} of {len(edited.labels):,} Gaussians are tampered: "
-        f"{out / 'labels.npy'}, and {out / 'truth'} by view",
+        f"{out / 'labels.npy'}, by view {out / 'truth'}",
         f"look at  {out / 'overview.png'}",
     ]
     if options.masks == "none":

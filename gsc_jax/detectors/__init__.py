@@ -1,1 +1,1 @@
-"""2D tampering detectors: a folder of masks, an ONNX network."""
+"""2D tampering detectors: folders of masks, ONNX networks, SAFIRE, and a cache of their outputs."""

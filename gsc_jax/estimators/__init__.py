@@ -1,1 +1,102 @@
-"""Estimators: from the evidence of all views and a prior to a score and a label per Gaussian."""
+"""Estimators: from the evidence of all views and a prior to a score and a label per Gaussian.
+
+To add one, write a frozen dataclass with the members of `protocol.Estimator` and add it to
+`METHODS`; `locate`, the command line and the experiments then accept it.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Literal
+
+from gsc_jax.estimators.gschecker import OFFICIAL, PAPER, GSChecker
+from gsc_jax.estimators.protocol import Estimator, Finding, Prior
+from gsc_jax.estimators.robust.estimator import RobustEstimator
+from gsc_jax.evidence.observation import Observation
+from gsc_jax.scene import Camera, Gaussians
+from gsc_jax.scene.parallel import WORKERS, bounded_map
+
+__all__ = [
+    "METHODS",
+    "Estimator",
+    "Finding",
+    "GSChecker",
+    "Method",
+    "Prior",
+    "RobustEstimator",
+    "configured",
+    "estimate",
+    "sweep",
+]
+
+Method = Literal["robust", "official", "paper"]
+METHODS: Mapping[str, Estimator] = {
+    "robust": RobustEstimator(),
+    "official": OFFICIAL,
+    "paper": PAPER,
+}
+"""Every method with its default configuration."""
+
+
+def configured(method: str, config: Estimator | None = None) -> Estimator:
+    """The estimator of a method.
+
+    Args:
+        method: A key of `METHODS`.
+        config: Replaces the default configuration of the method, e.g.
+            `dataclasses.replace(METHODS["paper"], epochs=1)`.
+
+    Raises:
+        ValueError: if there is no such method.
+    """
+    if method not in METHODS:
+        raise ValueError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
+    return METHODS[method] if config is None else config
+
+
+def estimate(
+    gaussians: Gaussians,
+    cameras: Sequence[Camera],
+    observation: Observation,
+    *,
+    method: Method = "robust",
+    config: Estimator | None = None,
+    prior: Prior | None = None,
+) -> Finding:
+    """Estimate the tampered Gaussians of an observed scene.
+
+    Args:
+        gaussians: N Gaussians.
+        cameras: The cameras of the observation, in its order.
+        observation: Evidence and votes, from `observe`.
+        method: The estimator.
+        config: Replaces the default configuration of the method.
+        prior: Probability per Gaussian from another source, such as `forensic_evidence`.
+
+    Returns:
+        Scores and labels.
+
+    Raises:
+        ValueError: if the method is unknown, or the observation is of other Gaussians or cameras.
+    """
+    estimator = configured(method, config)
+    names = [camera.name for camera in observation.cameras]
+    if len(gaussians) != len(observation.gaussians) or [c.name for c in cameras] != names:
+        raise ValueError(
+            f"the observation is of {len(observation.gaussians)} Gaussians and {len(names)} views, "
+            f"got {len(gaussians)} Gaussians and {len(cameras)} cameras; pass those of `observe`"
+        )
+    return estimator.estimate(observation, prior)
+
+
+def sweep(observation: Observation, estimators: Iterable[Estimator]) -> Iterator[Finding]:
+    """Apply many estimators to one observation, two at a time.
+
+    Args:
+        observation: Evidence and votes, from `observe`.
+        estimators: Estimators, e.g. one method under many configurations.
+
+    Yields:
+        A finding per estimator, in their order.
+    """
+    with ThreadPoolExecutor(WORKERS) as pool:
+        yield from bounded_map(pool, lambda estimator: estimator.estimate(observation), estimators)

@@ -1,65 +1,163 @@
-"""What a method finds, and what there is to find where the views leave nothing to weigh."""
+"""The interface of an estimator: evidence and a prior in, scores and labels out."""
 
 import dataclasses
-from typing import Literal
+from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
 
 from gsc_jax.evidence.lifting import Evidence
+from gsc_jax.evidence.masks import MaskRule
+from gsc_jax.evidence.observation import Observation
 
-Reliability = Literal["finds", "misses", "inverted", "unseen"]
-"""Whether a mask flags what is tampered; an inverted one flags everything else, and a view may not
-show it at all."""
-DISAGREE = "Pixels were flagged, but the views agree on no tampered Gaussian."
-"""The warning of a method that finds nothing in masks that are not empty."""
-NOTHING = "No view says that anything is tampered."
-"""The warning where all masks are empty."""
+Reliability = Literal["reliable", "uninformative", "inverted", "unseen"]
+"""Reliability of a mask: it flags most of the labelled Gaussians in the view, it does not, it flags
+everything else, or the view does not show them."""
+DISAGREEMENT = "Pixels were flagged, but the views agree on no tampered Gaussian."
+"""Warning of an estimator that labels nothing although masks are not empty."""
+NONE_FLAGGED = "All masks are empty."
+ALL_FLAGGED = "The masks cover everything in every view."
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Prior:
+    """Probability of tampering per Gaussian that does not come from masks.
+
+    Attributes:
+        probability: Probability that a Gaussian is tampered, given that the scene was edited, shape
+            (N,) in [0, 1]; needs a value also where `known` is false.
+        verdict: Probability that the scene was edited.
+        known: Gaussians for which the probability means something, shape (N,) bool.
+        exact: Whether the prior identifies the tampered Gaussians exactly, so that masks do not
+            overrule it.
+
+    Raises:
+        ValueError: if a value is outside its range or a shape differs.
+    """
+
+    probability: np.ndarray
+    verdict: float
+    known: np.ndarray
+    exact: bool = False
+
+    def __post_init__(self) -> None:
+        """Check ranges and shapes: one NaN would spread to every Gaussian."""
+        if not 0 <= self.verdict <= 1:
+            raise ValueError(f"verdict must be in [0, 1], got {self.verdict}")
+        within = (self.probability >= 0) & (self.probability <= 1)
+        if not within.all():
+            row = int(np.argmin(within))
+            raise ValueError(
+                f"probability must be in [0, 1], got {self.probability[row]} in row {row}"
+            )
+        if self.known.dtype != bool or self.known.shape != self.probability.shape:
+            raise ValueError(
+                f"known must be bool and of shape {self.probability.shape} like probability, got "
+                f"{self.known.dtype} {self.known.shape}"
+            )
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Finding:
-    """What a method makes of an observation.
+    """Scores and labels of N Gaussians.
 
     Attributes:
-        attribute: Raw attribute r, shape (N,) float32; unbounded. Of `robust` the log odds.
-        tamper: Score in [0, 1], shape (N,) float32; 0 where nothing is known of a Gaussian.
-        labels: Tampered Gaussians, shape (N,) bool.
+        tamper: Score in [0, 1], shape (N,) float32; 0 for Gaussians without any evidence.
+        labels: Gaussians whose score is above the threshold, shape (N,) bool.
+        attribute: Raw attribute r, shape (N,) float32, unbounded; log odds for `robust`.
         group_sizes: Sizes of G_h, G_m and G_l in every iteration, shape (iterations, 3).
-        verdict: Probability that anything was tampered with; None of methods that cannot say.
-        reliability: What the mask of each view is worth, of `robust` where views disagree.
-        warnings: What a user should know, in sentences.
+        verdict: Scene probability: that anything was edited; None if the estimator gives none.
+        reliability: Reliability of the mask of each view, in the order of the cameras; empty if the
+            estimator infers none.
+        warnings: Sentences for the user.
     """
 
-    attribute: np.ndarray
     tamper: np.ndarray
     labels: np.ndarray
-    group_sizes: np.ndarray
+    attribute: np.ndarray
+    group_sizes: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 3), np.int32))
     verdict: float | None = None
     reliability: tuple[Reliability, ...] = ()
     warnings: list[str]
 
 
-def undisputed(evidence: Evidence) -> Finding | None:
-    """What there is to find where the views leave nothing to weigh.
+class Estimator(Protocol):
+    """An estimator of tampered Gaussians: a frozen dataclass whose fields are its configuration."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+    @property
+    def name(self) -> str:
+        """Name of the method in results."""
+        ...
+
+    @property
+    def threshold(self) -> float:
+        """Score above which a Gaussian is labelled."""
+        ...
+
+    @property
+    def mask_rule(self) -> MaskRule:
+        """How labels become the mask of a view."""
+        ...
+
+    @property
+    def near(self) -> float:
+        """Near plane in world units."""
+        ...
+
+    @property
+    def seed(self) -> int:
+        """Seed of everything random."""
+        ...
+
+    @property
+    def uses_prior(self) -> bool:
+        """Whether a prior changes the finding."""
+        ...
+
+    @property
+    def stops_early(self) -> bool:
+        """Whether views may be left out once the labels are stable."""
+        ...
+
+    @property
+    def tolerance(self) -> float:
+        """Change of the labels by further views, as a share of their weight, that is accepted."""
+        ...
+
+    def estimate(self, observation: Observation, prior: Prior | None = None) -> Finding:
+        """Compute scores and labels; deterministic for given fields.
+
+        Args:
+            observation: Evidence and votes of V views of N Gaussians.
+            prior: Probability per Gaussian from another source.
+        """
+        ...
+
+    def resolved(self, views: int) -> "Estimator":
+        """The estimator with defaults that depend on the number of views filled in."""
+        ...
+
+
+def unanimous(evidence: Evidence) -> Finding | None:
+    """Finding for masks that are all empty or all full, from which nothing can be estimated.
 
     Args:
-        evidence: What V views say of N Gaussians, shapes (V, N).
+        evidence: Evidence of V views, shapes (V, N).
 
     Returns:
-        Nothing tampered where no view flags anything, all that is seen where every view flags
-        everything; None where methods have to weigh.
+        No labels if all masks are empty, all seen Gaussians if all masks are full, else None.
     """
     seen = evidence.seen
-    if evidence.says_nothing:
-        labels, said = np.zeros(len(seen), bool), NOTHING
-    elif evidence.says_everything:
-        labels, said = seen, "Every view says that everything is tampered."
+    if evidence.none_flagged:
+        labels, warning = np.zeros(len(seen), bool), NONE_FLAGGED
+    elif evidence.all_flagged:
+        labels, warning = seen, ALL_FLAGGED
     else:
         return None
     return Finding(
-        attribute=np.zeros(len(seen), np.float32),
         tamper=labels.astype(np.float32),
         labels=labels,
-        group_sizes=np.zeros((0, 3), np.int32),
-        warnings=[said],
+        attribute=np.zeros(len(seen), np.float32),
+        warnings=[warning],
     )

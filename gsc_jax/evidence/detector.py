@@ -1,6 +1,6 @@
-"""What `locate` asks of a 2D tampering detector, and what it makes of its output.
+"""The interface of 2D tampering detectors, and the resizing of their outputs.
 
-The detectors themselves are in `gsc_jax.detectors`; a function of the image or a mapping of masks
+Implementations are in `gsc_jax.detectors`; a function of the image or a mapping of probability maps
 by camera name serves as well. An output is resized once, as probabilities, and thresholded once.
 """
 
@@ -15,37 +15,38 @@ from gsc_jax.scene import Camera, InputError
 
 
 class Detector(Protocol):
-    """A 2D tampering detector. A plain function of the image will do for `locate`, too.
+    """A 2D tampering detector.
 
-    It may have a sequence `warnings` of what a user should know; `locate` passes them on.
+    It may have an attribute `warnings`, a sequence of sentences for the user that `locate` passes
+    on.
     """
 
     @property
     def needs_image(self) -> bool:
-        """Whether it looks at the render; if not, none is made."""
+        """Whether the detector needs the rendered image; otherwise nothing is rendered for it."""
         ...
 
     def select(self, cameras: Sequence[Camera]) -> list[Camera]:
-        """The cameras it has something to say on; raises InputError when there is none."""
+        """Cameras for which the detector has an output; raises InputError if there are none."""
         ...
 
     def __call__(self, image: np.ndarray | None, camera: Camera) -> np.ndarray:
-        """Probability of tampering, at any size, of an image (H, W, 3) in [0, 1]."""
+        """Probability map of any size for an image (H, W, 3) in [0, 1]."""
         ...
 
 
 def fit_to_view(probability: Any, camera: Camera) -> np.ndarray:
-    """A detector's output at the size of a view, resized once, as probabilities.
+    """Resize a probability map to a view.
 
     Args:
-        probability: Shape (h, w), or with axes of length 1; boolean or in [0, 1].
+        probability: Shape (h, w), possibly with further axes of length 1; boolean or in [0, 1].
         camera: The view.
 
     Returns:
-        Shape (H, W), float32. To be thresholded once, strictly above 0.5.
+        Shape (H, W), float32; to be thresholded once, strictly above 0.5.
 
     Raises:
-        InputError: if the output is not such an image.
+        InputError: if the output is no map of probabilities.
     """
     from skimage.transform import resize
 
@@ -72,7 +73,7 @@ def fit_to_view(probability: Any, camera: Camera) -> np.ndarray:
 
 
 @dataclasses.dataclass(frozen=True)
-class _Function:
+class _FunctionDetector:
     """A function of the image as a detector."""
 
     function: Callable[[np.ndarray], Any]
@@ -87,28 +88,30 @@ class _Function:
 
 
 @dataclasses.dataclass(frozen=True)
-class _Masks:
-    """Given probabilities by camera name as a detector."""
+class _MappingDetector:
+    """Given probability maps by camera name as a detector."""
 
-    masks: Mapping[str, Any]
+    maps: Mapping[str, Any]
     needs_image = False
 
     def select(self, cameras: Sequence[Camera]) -> list[Camera]:
-        found = [camera for camera in cameras if camera.name in self.masks]
+        found = [camera for camera in cameras if camera.name in self.maps]
         if not found:
             raise InputError(
-                f"No camera has a mask: the cameras are called like {cameras[0].name!r}, the masks "
-                f"like {next(iter(self.masks), None)!r}."
+                f"No camera has a mask: camera names are like {cameras[0].name!r}, mask names like "
+                f"{next(iter(self.maps), None)!r}."
             )
         return found
 
     def __call__(self, image: np.ndarray | None, camera: Camera) -> np.ndarray:
         del image
-        return self.masks[camera.name]
+        return self.maps[camera.name]
 
 
 def as_detector(detector: Any) -> Detector:
-    """Wrap a function of the image, or a mapping of probabilities, as a detector."""
+    """Wrap a function of the image, or a mapping of probability maps, as a detector."""
     if hasattr(detector, "select"):
         return detector
-    return _Masks(detector) if isinstance(detector, Mapping) else _Function(detector)
+    if isinstance(detector, Mapping):
+        return _MappingDetector(detector)
+    return _FunctionDetector(detector)

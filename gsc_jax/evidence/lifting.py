@@ -1,7 +1,8 @@
-"""All that a view says about each Gaussian, W^t 1 and W^t M: sufficient statistics of the method.
+"""Evidence of a view: W^t 1 and W^t M, the sufficient statistics of every estimator.
 
-The 2D loss is linear in the attribute, so its gradient W^t (lambda2 (1 - M) - lambda1 M) is made
-of these two sums and never changes: with them, the whole optimisation needs no more rendering.
+The 2D loss (GS-Checker, eq. 10) is linear in the attribute, so its gradient
+W^t (lambda2 (1 - M) - lambda1 M) is a combination of these two sums and constant: the whole
+optimisation needs no rendering beyond one `accumulate` per view.
 """
 
 import functools
@@ -16,10 +17,10 @@ from gsc_jax.splat import accumulate
 
 @pytree
 class Evidence:
-    """Blending weight of each Gaussian, in all and inside the masks, 0 <= tampered <= total.
+    """Blending weight of each Gaussian, in total and inside the masks, 0 <= tampered <= total.
 
     Attributes:
-        total: Weight in pixels, (W_j^t 1)_i, shape (V, N) or (N,) for one view.
+        total: Weight in pixels, (W_j^t 1)_i, shape (V, N), or (N,) for one view.
         tampered: Weight inside the mask, (W_j^t M)_i, of the same shape.
     """
 
@@ -28,30 +29,29 @@ class Evidence:
 
     @property
     def seen(self) -> np.ndarray:
-        """Gaussians that contribute to some pixel of some view, shape (N,)."""
-        total = np.asarray(self.total)
-        views = np.atleast_2d(total)
-        # View by view, as everywhere: what is kept on disk is never in memory all at once.
-        nowhere = np.zeros(views.shape[1], bool)
-        return functools.reduce(np.logical_or, (view > 0 for view in views), nowhere)
+        """Mask of the Gaussians with weight in at least one view, shape (N,) bool."""
+        views = np.atleast_2d(np.asarray(self.total))
+        # One view at a time: evidence on disk must not be loaded into memory as a whole.
+        unseen = np.zeros(views.shape[1], bool)
+        return functools.reduce(np.logical_or, (view > 0 for view in views), unseen)
 
     @property
-    def says_nothing(self) -> bool:
-        """Whether no view flags anything that it sees."""
+    def none_flagged(self) -> bool:
+        """Whether no mask covers any of the weight."""
         return not any(np.any(view) for view in np.asarray(self.tampered))
 
     @property
-    def says_everything(self) -> bool:
-        """Whether every view flags all that it sees."""
+    def all_flagged(self) -> bool:
+        """Whether the masks cover all of the weight."""
         views = zip(np.asarray(self.total), np.asarray(self.tampered), strict=True)
         return all(np.array_equal(total, tampered) for total, tampered in views)
 
 
 def view_evidence(view: View, mask: Array) -> Evidence:
-    """The evidence of one view.
+    """Lift a mask: accumulate the blending weight of each Gaussian, in total and inside the mask.
 
     Args:
-        view: The scene as a camera sees it, of N Gaussians.
+        view: A scene of N Gaussians, projected and binned for a camera.
         mask: Tampered pixels, boolean or in [0, 1], shape (H, W).
 
     Returns:

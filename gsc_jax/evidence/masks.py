@@ -1,8 +1,8 @@
-"""From the attribute to what is handed back: a score and a label per Gaussian, a mask per view.
+"""From the attribute to scores, and from labels to the mask of a view.
 
-The attribute is unbounded and its scale means nothing, so it is divided by its largest value in the
-whole scene, once; dividing by a view's own maximum, as the released code does, lifts noise to 1 in
-views without the object. The released rule is kept as `per-view` so that it can be compared.
+The attribute is unbounded and has no unit, so it is divided by its largest value in the whole
+scene. The released code divides by the maximum of each view instead, which lifts noise to 1 in
+views without the object; that rule is available as `per-view` for comparison.
 """
 
 import dataclasses
@@ -19,11 +19,11 @@ from gsc_jax.splat import composite_with_alpha
 
 MaskRule = Literal["share", "attribute", "per-view"]
 MIN_COVERAGE = 0.1
-"""Pixels whose alpha does not exceed this show nothing, so nothing tampered."""
+"""Least alpha of a pixel in a mask: the truth in shared test data and experiments uses it, too."""
 
 
 def normalise(attribute: Array) -> jax.Array:
-    """The attribute as a score: divided by its largest value, negative values cut off.
+    """Scale the attribute to a score: divide by its largest value, clip negative values.
 
     Args:
         attribute: Raw r, shape (N,).
@@ -46,7 +46,7 @@ def view_mask(
     threshold: float = 0.1,
     near: float = NEAR,
 ) -> np.ndarray:
-    """The tampered pixels of a view.
+    """Compute the mask of a view from scores and labels.
 
     Args:
         gaussians: N Gaussians.
@@ -54,16 +54,17 @@ def view_mask(
         tamper: Scores in [0, 1], shape (N,).
         labels: Tampered Gaussians, boolean, shape (N,).
         rule: `attribute`: the rendered score, relative to alpha, exceeds the threshold. `share`:
-            more than half of what a pixel shows is tampered Gaussians. `per-view`, the released
-            rule: the tampered Gaussians alone, divided by the maximum of the view.
-        threshold: Of the first and the last rule.
+            labelled Gaussians contribute more than half of a pixel's weight. `per-view`, the rule
+            of the released code: the score rendered from labelled Gaussians only, relative to its
+            maximum in the view, exceeds the threshold.
+        threshold: Threshold of the rules `attribute` and `per-view`.
         near: Near plane in world units.
 
     Returns:
         Boolean, shape (H, W); false where the scene is transparent.
     """
     if rule == "per-view":
-        return _released_mask(gaussians, camera, tamper, labels, threshold, near)
+        return _per_view_mask(gaussians, camera, tamper, labels, threshold=threshold, near=near)
     feature, level = (labels, 0.5) if rule == "share" else (tamper, threshold)
     return rendered_share(gaussians, camera, feature, near=near) > level
 
@@ -71,7 +72,7 @@ def view_mask(
 def rendered_share(
     gaussians: Gaussians, camera: Camera, feature: Array, *, near: float = NEAR
 ) -> np.ndarray:
-    """A feature as it shows in a view: its rendered weight relative to alpha.
+    """Render a feature relative to alpha.
 
     Args:
         gaussians: N Gaussians.
@@ -80,7 +81,8 @@ def rendered_share(
         near: Near plane in world units.
 
     Returns:
-        Weighted mean over what each pixel shows, shape (H, W); 0 where alpha is 0.1 or less.
+        Mean of the feature over the blending weights of each pixel, shape (H, W); 0 where alpha is
+        0.1 or less.
     """
     feature = jnp.asarray(feature, jnp.float32)
     view = restricted(make_view(gaussians, camera, near=near), np.asarray(feature) != 0)
@@ -89,8 +91,10 @@ def rendered_share(
     return np.asarray(jnp.where(covered, image[..., 0] / jnp.where(covered, alpha, 1.0), 0.0))
 
 
-def _released_mask(gaussians, camera, tamper, labels, threshold, near) -> np.ndarray:
-    # Deleting the others would change N, and with it recompile everything for every result.
+def _per_view_mask(
+    gaussians: Gaussians, camera: Camera, tamper: Array, labels: Array, *, threshold, near
+) -> np.ndarray:
+    # Removing the other Gaussians would change N and recompile everything for every result.
     logits = jnp.where(jnp.asarray(labels), gaussians.logit_opacities, -jnp.inf)
     view = make_view(dataclasses.replace(gaussians, logit_opacities=logits), camera, near=near)
     image = composite_with_alpha(view, jnp.asarray(tamper)[:, None])[0][..., 0]

@@ -1,4 +1,4 @@
-"""Seconds and peak memory of each stage of a run, for the report."""
+"""Time, peak memory and progress of a run, in one object that is passed once."""
 
 import contextlib
 import sys
@@ -7,44 +7,60 @@ import time
 from collections.abc import Callable, Iterator
 
 Progress = Callable[[str, int, int], None]
-"""Told (stage, done, total) as a run proceeds; the command line draws bars with it."""
+"""Called with (stage, done, total) as a run proceeds; the command line draws bars with it."""
 
 
-def silent(stage: str, done: int, total: int) -> None:
-    """Progress for nobody."""
-    del stage, done, total
+class Monitor:
+    """Collect seconds and peak memory of each stage, and pass progress on.
 
+    Stages that run in several threads overlap: their seconds then add up to more than the wall
+    time.
 
-class Stages:
-    """Collects how long each stage took and the memory peak of the process when it ended.
-
-    Stages that run in several threads overlap: their seconds then add up to more than has passed.
+    Args:
+        progress: Called with (stage, done, total); None ignores progress.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, progress: Progress | None = None) -> None:
         self.seconds: dict[str, float] = {}
         self.peak_mib: dict[str, float] = {}
+        self._progress = progress
+        self._window: tuple[int, int] | None = None
         self._lock = threading.Lock()
-        self._begin = time.perf_counter()
+        self._start = time.perf_counter()
 
     @contextlib.contextmanager
-    def __call__(self, name: str) -> Iterator[None]:
-        """Time a block as part of a stage; blocks of one name add up."""
-        begin = time.perf_counter()
+    def stage(self, name: str) -> Iterator[None]:
+        """Time a block as part of a stage; the seconds of blocks with one name are added."""
+        start = time.perf_counter()
         try:
             yield
         finally:
-            elapsed = time.perf_counter() - begin
+            elapsed = time.perf_counter() - start
             with self._lock:
                 self.seconds[name] = self.seconds.get(name, 0.0) + elapsed
                 self.peak_mib[name] = peak_memory_mib()
 
+    def progress(self, stage: str, done: int, total: int) -> None:
+        """Report that `done` of `total` items of a stage are finished."""
+        if self._progress is not None:
+            start, total = self._window or (0, total)
+            self._progress(stage, start + done, total)
+
+    @contextlib.contextmanager
+    def batch(self, start: int, total: int) -> Iterator[None]:
+        """Report the progress inside a block as that of a batch of a larger number of items."""
+        self._window = (start, total)
+        try:
+            yield
+        finally:
+            self._window = None
+
     def elapsed(self) -> float:
-        """Wall time since the beginning, in seconds."""
-        return time.perf_counter() - self._begin
+        """Wall time since this monitor was made, in seconds."""
+        return time.perf_counter() - self._start
 
     def summary(self) -> dict[str, dict[str, float]]:
-        """Seconds and peak MiB by stage, in the order of their first block."""
+        """Seconds and peak MiB by stage, in the order in which the stages first ended."""
         return {
             name: {"seconds": round(seconds, 4), "peak_mib": round(self.peak_mib[name], 1)}
             for name, seconds in self.seconds.items()

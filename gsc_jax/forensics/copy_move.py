@@ -1,120 +1,136 @@
-"""Twins: Gaussians whose attributes occur again elsewhere, and regions of them that moved alike.
+"""Trace of copy-move edits: regions whose Gaussians occur again elsewhere, moved in the same way.
 
-A single twin is chance, above all in quantised files. Those of a copied region lie where those of
-its neighbours lie, which chance does not bring about in attributes that do not hold the position.
+A single Gaussian with the attributes of another is a coincidence, frequent in quantised files.
+The duplicates of a copied region keep their arrangement: neighbours have their duplicates close
+together, although the compared attributes do not hold the position.
 """
 
 import numpy as np
 
+from gsc_jax.forensics.traces import Trace, make_trace, region_scores
 from gsc_jax.scene import Gaussians
 from gsc_jax.scene.neighbours import nearest_neighbours
-from gsc_jax.scene.parallel import WORKERS
 
-RADIUS = 0.35
-"""Distance of twins in whitened attributes: noise and 8 bits stay below, strangers mostly not."""
-TIGHT = 0.01
-"""The same in what a similarity leaves alone, where fewer numbers have to tell more."""
+APPEARANCE_RADIUS = 0.35
+"""Distance of duplicates in `appearance`, above that of noise and 8-bit rounding."""
+INVARIANT_RADIUS = 0.01
+"""The same in `similarity_invariants`: smaller, since fewer numbers identify a duplicate."""
 NEIGHBOURS = 12
-"""Neighbours whose twins are looked at."""
+"""Neighbours whose duplicates are compared."""
 SAMPLE = 12_000
-"""Rows whose twins are looked for first; around those that are in step all are looked at."""
-IN_STEP = 0.15
-"""Share of neighbours whose twins lie together too; authentic scenes reach 0.08 in 1 of 1000."""
-NEXT = 0.5
-"""A twin within this many distances to the last neighbour is the texture of a surface."""
-STRIDE = 3.0
-"""Twins lie together within this many distances to the last neighbour."""
+"""Gaussians searched first; around those that pass, all are searched."""
+MIN_MOVED_SHARE = 0.15
+"""Share of neighbours with duplicates in the same place; 0.08 in 1 of 1000 authentic scenes."""
+MIN_MOVE = 0.5
+"""Duplicates closer than this, in distances to the last neighbour, are texture of a surface."""
+MAX_SPREAD = 3.0
+"""Distance between duplicates of neighbours, in distances to the last neighbour."""
 
 
-def moved_alike(
-    means: np.ndarray, reach: np.ndarray, space: np.ndarray, radius: float
+def copy_move(gaussians: Gaussians, neighbours: np.ndarray) -> Trace:
+    """Detect regions whose Gaussians occur again elsewhere, moved in the same way.
+
+    Duplicates are searched by all attributes but the position, and with a smaller radius by those
+    that a similarity transform keeps. Nearly all Gaussians of a filled hole have duplicates, but
+    only a part of the region they were copied from; of an object that was copied as a whole, both
+    copies are marked.
+    """
+    marked = np.zeros(len(gaussians), bool)
+    if len(gaussians) > 2 * NEIGHBOURS:
+        means = np.asarray(gaussians.means, np.float64)
+        reach = np.linalg.norm(means - means[neighbours[:, -1]], axis=1)
+        marked |= moved_together(means, reach, appearance(gaussians), APPEARANCE_RADIUS)
+        marked |= moved_together(means, reach, similarity_invariants(gaussians), INVARIANT_RADIUS)
+    score = region_scores(marked, neighbours, min_share=0.6, min_outside=0.6)
+    found = "occur again elsewhere; where two whole parts are alike, either may be the copy"
+    return make_trace("copy-move", score, found, "No part of the scene occurs in it again.")
+
+
+def moved_together(
+    means: np.ndarray, reach: np.ndarray, attributes: np.ndarray, radius: float
 ) -> np.ndarray:
-    """Which rows have a twin that lies where those of their neighbours do.
+    """Mask of Gaussians whose duplicate lies where those of their neighbours lie, shape (N,).
 
     Args:
         means: Centres, shape (N, 3).
         reach: Distance to the last neighbour, shape (N,).
-        space: Attributes in which twins are close, shape (N, D).
-        radius: How close they are.
-
-    Returns:
-        Shape (N,) bool.
+        attributes: Attributes of the Gaussians, shape (N, D).
+        radius: Distance of duplicates in the attributes.
     """
     from scipy.spatial import KDTree
 
-    tree = KDTree(space, compact_nodes=False, balanced_tree=False)
-    some = np.arange(len(means))
-    if len(some) > SAMPLE:
-        some = np.sort(np.random.default_rng(0).choice(len(some), SAMPLE, replace=False))
-        # Neighbours within a sample are further apart, as on surfaces.
-        wide = np.sqrt(len(means) / SAMPLE)
-        near, hits = _in_step(means, reach, some, _twins(tree, some, radius), wide=wide)
-        some = _around(means, some[hits & (hits[near].mean(axis=1) >= IN_STEP)], wide * reach)
+    tree = KDTree(attributes, compact_nodes=False, balanced_tree=False)
+    rows = np.arange(len(means))
+    if len(rows) > SAMPLE:
+        rows = np.sort(np.random.default_rng(0).choice(len(rows), SAMPLE, replace=False))
+        # Neighbours within a sample are further apart, in proportion on a surface.
+        widening = np.sqrt(len(means) / SAMPLE)
+        near, hits = _arranged(means, reach, rows, _duplicates(tree, rows, radius), widening)
+        seeds = rows[hits & (hits[near].mean(axis=1) >= MIN_MOVED_SHARE)]
+        rows = _close_to(means, seeds, 2 * widening * reach[seeds])
     result = np.zeros(len(means), bool)
-    if len(some) > NEIGHBOURS:
-        result[some] = _in_step(means, reach, some, _twins(tree, some, radius))[1]
+    if len(rows) > NEIGHBOURS:
+        result[rows] = _arranged(means, reach, rows, _duplicates(tree, rows, radius))[1]
     return result
 
 
-def _around(means: np.ndarray, hits: np.ndarray, reach: np.ndarray) -> np.ndarray:
-    """The rows that lie about some of them, twice as far as these reach, sorted."""
-    from scipy.spatial import KDTree
-
-    if not len(hits):
-        return hits
-    far = 2 * reach[hits]
-    bound = {"distance_upper_bound": far.max(), "workers": WORKERS}
-    gaps, which = KDTree(means[hits]).query(means, **bound)
-    # Where nothing is within the bound, the gap is infinite and the index one too many.
-    return np.flatnonzero(gaps <= np.append(far, 0)[which])
-
-
-def _in_step(
-    means: np.ndarray, reach: np.ndarray, some: np.ndarray, twins: np.ndarray, *, wide: float = 1.0
-) -> tuple[np.ndarray, np.ndarray]:
-    """Neighbours among some rows, (S, K), and which have twins near the twins of theirs, (S,)."""
-    near = nearest_neighbours(means[some], np.arange(len(some)), NEIGHBOURS)
-    moved = np.linalg.norm(means[twins] - means[some], axis=1)
-    has = (twins >= 0) & (moved > NEXT * reach[some])
-    gaps = np.linalg.norm(means[twins[near]] - means[twins][:, None], axis=2)
-    # A copy may be larger or smaller than what it was copied from.
-    together = gaps <= wide * STRIDE * np.maximum(reach[some], reach[twins])[:, None]
-    return near, has & ((has[near] & together).mean(axis=1) >= IN_STEP)
-
-
-def _twins(tree, some: np.ndarray, radius: float) -> np.ndarray:
-    """The nearest other row in a tree within a radius, or -1, shape (S,)."""
-    bound = {"distance_upper_bound": radius, "workers": WORKERS}
-    found = tree.query(tree.data[some], k=2, **bound)[1]
-    # With exact copies, the first that is found may be the other one.
-    other = np.where(found[:, 0] == some, found[:, 1], found[:, 0])
+def _duplicates(tree, rows: np.ndarray, radius: float) -> np.ndarray:
+    """Nearest other point of a tree within a radius, or -1, shape (M,)."""
+    found = tree.query(tree.data[rows], k=2, distance_upper_bound=radius, workers=-1)[1]
+    # Of exact copies, the first result may be the other one.
+    other = np.where(found[:, 0] == rows, found[:, 1], found[:, 0])
     return np.where(other < tree.n, other, -1)
 
 
+def _arranged(
+    means: np.ndarray, reach: np.ndarray, rows: np.ndarray, duplicates: np.ndarray, widening=1.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Neighbours among the rows, (M, K), and rows with duplicates next to those of theirs, (M,)."""
+    near = nearest_neighbours(means[rows], np.arange(len(rows)), NEIGHBOURS)
+    moved = np.linalg.norm(means[duplicates] - means[rows], axis=1)
+    has = (duplicates >= 0) & (moved > MIN_MOVE * reach[rows])
+    gaps = np.linalg.norm(means[duplicates[near]] - means[duplicates][:, None], axis=2)
+    # A copy may be larger or smaller than the original.
+    scale = np.maximum(reach[rows], reach[duplicates])
+    together = has[near] & (gaps <= widening * MAX_SPREAD * scale[:, None])
+    return near, has & (together.mean(axis=1) >= MIN_MOVED_SHARE)
+
+
+def _close_to(means: np.ndarray, seeds: np.ndarray, radius: np.ndarray) -> np.ndarray:
+    """Sorted rows of the points within the radius of their nearest seed."""
+    from scipy.spatial import KDTree
+
+    if not len(seeds):
+        return seeds
+    gaps, which = KDTree(means[seeds]).query(means, distance_upper_bound=radius.max(), workers=-1)
+    # Where no seed is within the bound, the gap is infinite and the index one too many.
+    return np.flatnonzero(gaps <= np.append(radius, 0)[which])
+
+
 def appearance(gaussians: Gaussians) -> np.ndarray:
-    """All attributes but the position, whitened so that copies are close, shape (N, D)."""
+    """All attributes but the position, scaled so that noisy copies stay close, shape (N, D)."""
     quats = np.asarray(gaussians.quats)
     quats = quats / np.maximum(np.linalg.norm(quats, axis=1, keepdims=True), 1e-20)
-    bands = np.asarray(gaussians.sh[:, 1:]).reshape(len(gaussians), -1)
+    rest = np.asarray(gaussians.sh[:, 1:]).reshape(len(gaussians), -1)
     columns = [
         2 * quats * np.where(quats[:, :1] < 0, -1, 1),
         np.clip(np.asarray(gaussians.logit_opacities)[:, None], -6, 6) / 2,
-        np.maximum(np.asarray(gaussians.log_scales), -30),
+        np.asarray(gaussians.log_scales),
         np.asarray(gaussians.sh)[:, 0],
     ]
-    if bands.shape[1]:
-        bands = bands * (0.7 / (bands.std() + 1e-6))
-        some = bands[:: -(-len(bands) // 4096)]
-        columns.append(bands @ np.linalg.svd(some - some.mean(axis=0))[2][:6].T)
+    if rest.shape[1]:
+        rest = rest * (0.7 / (rest.std() + 1e-6))
+        sample = rest[:: -(-len(rest) // 4096)]
+        columns.append(rest @ np.linalg.svd(sample - sample.mean(axis=0))[2][:6].T)
     return np.concatenate(columns, axis=1, dtype=np.float32)
 
 
-def invariants(gaussians: Gaussians) -> np.ndarray:
-    """What a similarity does not change: shape, opacity, colour and energies of the bands."""
+def similarity_invariants(gaussians: Gaussians) -> np.ndarray:
+    """Attributes that a similarity keeps: shape, opacity, colour, energy per degree, (N, D)."""
     sh = np.asarray(gaussians.sh)
-    bands = [slice(n**2, (n + 1) ** 2) for n in range(1, round(sh.shape[1] ** 0.5))]
+    bands = [slice(n**2, (n + 1) ** 2) for n in range(1, gaussians.sh_degree + 1)]
     columns = [
-        np.diff(np.sort(np.maximum(np.asarray(gaussians.log_scales), -30), axis=1), axis=1),
+        np.diff(np.sort(np.asarray(gaussians.log_scales), axis=1), axis=1),
         np.clip(np.asarray(gaussians.logit_opacities)[:, None], -6, 6) / 2,
         sh[:, 0],
         *[np.linalg.norm(sh[:, band], axis=1) for band in bands],

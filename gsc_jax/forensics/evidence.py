@@ -1,239 +1,173 @@
-"""Evidence without a 2D detector: how likely each Gaussian is tampered, by the Gaussians alone.
+"""Forensic evidence: how likely each Gaussian is tampered, from the attributes of the scene alone.
 
-To what a network suspects (`suspicion`) exact traces are added, which need no learning. Both
-together are the prior of the robust estimator, or all there is where no masks are.
+Combines the classifier with the traces. The result is a prior of the robust estimator, or the only
+evidence where no masks exist.
 """
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import jax
 import numpy as np
+from scipy.special import expit
 
-from gsc_jax.estimators.protocol import Finding
-from gsc_jax.estimators.robust.estimator import RobustConfig
-from gsc_jax.estimators.robust.prior_fusion import Prior
-from gsc_jax.forensics.classifier import SURE, Model, opinions, shipped_model, worst_part
-from gsc_jax.forensics.features import NEIGHBOURS, cues
-from gsc_jax.forensics.traces import NEIGHBOURS as ASKED
-from gsc_jax.forensics.traces import Trace, combined, traces
-from gsc_jax.scene import Gaussians, invalid_rows
+from gsc_jax.estimators.protocol import Finding, Prior
+from gsc_jax.forensics import features
+from gsc_jax.forensics.calibration import MAX_LOG_ODDS, Classification, calibrate, label_level
+from gsc_jax.forensics.classifier import Classifier, default_classifier, smoothed_log_odds
+from gsc_jax.forensics.copy_move import copy_move
+from gsc_jax.forensics.quantisation import quantisation
+from gsc_jax.forensics.row_order import row_order
+from gsc_jax.forensics.traces import NEIGHBOURS as TRACE_NEIGHBOURS
+from gsc_jax.forensics.traces import Trace, any_trace, quaternion_convention, sh_degree
+from gsc_jax.scene import Gaussians
+from gsc_jax.scene.gaussians import usable_rows
 
-LEVEL = 0.3
-"""Of the way from the base rate to the worst part: what is labelled where little stands out."""
-GAP = 0.05, 0.5
-"""Of that way, too: where the gap is looked for between an edit that surely is one and the rest."""
-SURELY = 0.65
-"""Verdict of the network from which on one is."""
-NAMED = 0.1
-"""Share of what stands apart that exact traces name where they are taken to name the edit."""
-BESIDE = 1.0
-"""Log odds asked of the rest where they do; all five were chosen on seeds 10 and 11, by F1."""
-MARGIN, FEW = 0.1, 20
-"""Of the gap: half of its width, of the way, and a number of Gaussians that does not matter."""
+TRACES: tuple[Callable[[Gaussians, np.ndarray], Trace], ...] = (
+    copy_move,
+    quantisation,
+    sh_degree,
+    row_order,
+    quaternion_convention,
+)
+"""All traces: functions of N Gaussians with finite values and of their neighbours (N, K)."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Native:
-    """What the Gaussians themselves say.
+class ForensicEvidence(Prior):
+    """Evidence from the attributes of N Gaussians; see `Prior` for the other attributes.
 
     Attributes:
-        known: Rows that could be described, shape (N,) bool.
-        learned: What the network says, as log odds, shape (N,) float32.
-        learned_verdict: What it says of the scene.
-        log_odds: That a Gaussian is tampered, after the exact traces, shape (N,) float32; of the
-            base rate where nothing is known of a row.
-        base: Log odds before looking: more than these speaks for an edit.
-        worst: Mean log odds of the part that is most suspicious, exact traces left aside.
-        verdict: Probability that anything was tampered with.
-        traces: Exact traces, those that found nothing among them.
+        log_odds: Calibrated log odds that a Gaussian is tampered, by classifier and traces, shape
+            (N,) float32; the base rate where nothing is known.
+        level: Log odds above which Gaussians are labelled; `probability` is 0.5 there.
+        traces: All traces, also those that were not found; empty if they were not computed.
+        classification: Output of the classifier.
     """
 
-    known: np.ndarray
-    learned: np.ndarray
-    learned_verdict: float
     log_odds: np.ndarray
-    base: float
-    worst: float
-    verdict: float
+    level: float
     traces: tuple[Trace, ...]
+    classification: Classification
 
     @property
-    def prior(self) -> Prior:
-        """What this is to the robust estimator."""
-        own = _tamper(self)
-        return Prior(
-            probability=own,
-            verdict=self.verdict,
-            known=self.known,
-            exact=_named_exactly(own > 0.5, self.traces),
-        )
+    def unconditional_probability(self) -> np.ndarray:
+        """Calibrated probability that a Gaussian is tampered in any scene, shape (N,)."""
+        return expit(self.log_odds)
 
     @property
-    def without_traces(self) -> "Native":
-        """What the network alone says."""
-        return dataclasses.replace(
-            self, log_odds=self.learned, verdict=self.learned_verdict, traces=()
-        )
-
-    @property
-    def probability(self) -> np.ndarray:
-        """That a Gaussian is tampered, shape (N,) float32."""
-        return np.asarray(jax.nn.sigmoid(self.log_odds))
+    def without_traces(self) -> "ForensicEvidence":
+        """The evidence of the classifier alone."""
+        return combine(self.classification, ())
 
 
-def native_evidence(
-    gaussians: Gaussians, *, model: Model | None = None, exact: bool = True
-) -> Native:
-    """Ask the Gaussians themselves.
+def forensic_evidence(
+    gaussians: Gaussians, *, classifier: Classifier | None = None, with_traces: bool = True
+) -> ForensicEvidence:
+    """Compute the evidence of tampering in the attributes of Gaussians.
 
     Args:
-        gaussians: N Gaussians.
-        model: Replaces the one that comes with the package.
-        exact: Whether to look for exact traces, too, which a re-export may wash out.
+        gaussians: N Gaussians; rows that cannot be rendered are left out.
+        classifier: Replaces the one that comes with the package.
+        with_traces: Whether to compute the traces, too, which a re-export of the file may remove.
 
     Returns:
-        The evidence. The order of the rows matters only where it is a trace.
+        The evidence. It depends on the order of the rows only in the trace "row-order".
     """
-    model = model or shipped_model()
+    classifier = classifier or default_classifier()
     host = jax.tree.map(np.asarray, gaussians)
-    known = ~np.any(list(invalid_rows(host).values()), axis=0)
-    sound = np.flatnonzero(known)
-    learned = np.full(len(host), model.base, np.float32)
-    worst, neighbours = model.base, None
-    if len(sound) <= NEIGHBOURS:  # too few to have surroundings
-        known[sound] = False
-    else:
-        usable = host.take(sound)
-        learned[sound], nearest = _learned(usable, model)
-        neighbours = np.tile(np.arange(len(host))[:, None], (1, ASKED))
-        neighbours[sound] = sound[nearest]
-        worst = worst_part(learned[sound], usable.means)
-    found = traces(host, neighbours=neighbours) if exact else ()
-    factor, shift = model.scene
-    verdict = float(jax.nn.sigmoid(factor * worst + shift))
-    certain = max((float(trace.score.max(initial=0)) for trace in found), default=0.0)
-    return Native(
-        known=known,
-        learned=learned,
-        learned_verdict=verdict,
-        log_odds=with_traces(learned, found),
-        base=model.base,
-        worst=worst,
-        verdict=1 - (1 - verdict) * (1 - certain),
-        traces=tuple(found),
+    usable = usable_rows(host)
+    sound = features.with_finite_scales(host.take(usable))
+    raw, neighbours = _classified(sound, classifier)
+    known = usable & (len(raw) > 0)
+    output = calibrate(raw, np.asarray(sound.means), known, classifier)
+    traces = [trace(sound, neighbours) for trace in TRACES] if with_traces else []
+    return combine(output, [_expanded(trace, usable) for trace in traces])
+
+
+def _classified(sound: Gaussians, classifier: Classifier) -> tuple[np.ndarray, np.ndarray]:
+    """Smoothed raw log odds, (N,), and neighbours, (N, K); both empty for too few Gaussians."""
+    if len(sound) <= features.NEIGHBOURS:
+        return np.zeros(0, np.float32), np.zeros((len(sound), 0), int)
+    computed = features.compute_features(sound)
+    neighbours = computed.neighbourhoods.nearest[:, :TRACE_NEIGHBOURS].copy()
+    return smoothed_log_odds(computed, classifier), neighbours
+
+
+def _expanded(trace: Trace, rows: np.ndarray) -> Trace:
+    """The trace of some rows (N,) bool as one of all rows, with score 0 for the others."""
+    score = np.zeros(len(rows), np.float32)
+    score[rows] = trace.score
+    return dataclasses.replace(trace, score=score)
+
+
+def combine(output: Classification, traces: Sequence[Trace]) -> ForensicEvidence:
+    """Combine the calibrated output of the classifier with the traces of the same Gaussians."""
+    log_odds = add_traces(output.log_odds, traces)
+    level = label_level(output, traces)
+    probability = np.where(output.known, expit(log_odds - level), 0).astype(np.float32)
+    strongest = max((float(trace.score.max(initial=0)) for trace in traces), default=0.0)
+    return ForensicEvidence(
+        probability=probability,
+        verdict=1 - (1 - output.scene_probability) * (1 - strongest),
+        known=output.known,
+        exact=_identified(probability > 0.5, traces),
+        log_odds=log_odds,
+        level=level,
+        traces=tuple(traces),
+        classification=output,
     )
 
 
-def _learned(usable: Gaussians, model: Model) -> tuple[np.ndarray, np.ndarray]:
-    """The opinion on each, (N,), and who is near it, (N, `ASKED`); the cues are let go."""
-    described = cues(usable)
-    return opinions(described, model), described.around.nearest[:, :ASKED].copy()
+def add_traces(log_odds: np.ndarray, traces: Sequence[Trace]) -> np.ndarray:
+    """Log odds of the noisy-or of log odds (N,) and traces: either alone is sufficient."""
+    if not traces:
+        return log_odds
+    score = np.minimum(any_trace(traces), 1 - 1e-6)
+    with np.errstate(divide="ignore"):  # a score of 0 leaves the log odds as they are
+        return np.minimum(np.logaddexp(log_odds, np.log(score)) - np.log1p(-score), MAX_LOG_ODDS)
 
 
-def find_native(native: Native, *, config: RobustConfig | None = None) -> Finding:
-    """What is tampered where there are no masks.
+def _identified(labels: np.ndarray, traces: Sequence[Trace]) -> bool:
+    """Whether traces mark most labels; copy-move does not count, either copy may be the edit."""
+    found = [trace for trace in traces if trace.found and trace.name != "copy-move"]
+    return bool(found) and bool(2 * (labels & (any_trace(found) > 0.5)).sum() > labels.sum())
 
-    That the calibrated probabilities are mostly small says how often scenes like this one are
-    misjudged. Given that something was edited, it is what stands out here (`level_of`).
+
+def estimate_from_attributes(
+    evidence: ForensicEvidence, *, threshold: float = 0.5, min_verdict: float = 0.06
+) -> Finding:
+    """Estimate the tampered Gaussians without masks.
 
     Args:
-        native: What the Gaussians say, N of them.
-        config: Of the estimator, of which the threshold and the doubt matter here; its defaults
-            if not given.
+        evidence: Forensic evidence of N Gaussians.
+        threshold: Score above which a Gaussian is labelled.
+        min_verdict: Scene probability below which nothing is labelled.
 
     Returns:
-        The finding; its attribute is the log odds, counted from that level.
+        Scores, labels and warnings. The attribute is the log odds relative to the level of
+        labelling, and 0 where nothing is known.
     """
-    config, certain = config or RobustConfig(), native.verdict
-    tamper = _tamper(native)
-    labels = (tamper > config.threshold) & (certain >= config.doubt)
+    believed = evidence.verdict >= min_verdict
+    labels = (evidence.probability > threshold) & believed
+    relative = np.where(evidence.known, evidence.log_odds - evidence.level, 0)
     return Finding(
-        attribute=_apart(native),
-        tamper=tamper * (certain >= config.doubt),
+        tamper=evidence.probability * believed,
         labels=labels,
-        group_sizes=np.zeros((0, 3), np.int32),
-        verdict=certain,
-        warnings=_doubts(native, labels, certain),
+        attribute=relative.astype(np.float32),
+        verdict=evidence.verdict,
+        warnings=_warnings(evidence, labels),
     )
 
 
-def _apart(native: Native) -> np.ndarray:
-    """The log odds, counted from the level of what is labelled; 0 where nothing is known, (N,)."""
-    return np.where(native.known, native.log_odds - level_of(native), 0).astype(np.float32)
-
-
-def _tamper(native: Native) -> np.ndarray:
-    """How likely each Gaussian is tampered, given that something is, (N,)."""
-    return np.where(native.known, jax.nn.sigmoid(_apart(native)), 0).astype(np.float32)
-
-
-def _named_exactly(labels: np.ndarray, found: Sequence[Trace]) -> bool:
-    """Whether most is labelled for a trace that tells which: of copies either may be the edit."""
-    telling = [trace for trace in found if trace.found and trace.name != "copied"]
-    return bool(telling) and bool(2 * (labels & (combined(telling) > 0.5)).sum() > labels.sum())
-
-
-def level_of(native: Native) -> float:
-    """Log odds above which Gaussians are labelled.
-
-    Where the network by itself is not sure of an edit, a share `LEVEL` of the way from the base
-    rate to the most suspicious part; where it is, the `gap` on that way. Exact traces name the
-    edit where the network is not sure of one or they name some of what stands apart: then at least
-    `BESIDE` is asked of the rest.
-    """
-    way = max(native.worst - native.base, 0.0)
-    level = native.base + LEVEL * way
-    sure = native.learned_verdict > SURELY
-    apart = gap(native.learned[native.known], native.base, way) if sure else level
-    if any(trace.found for trace in native.traces):
-        suspicious = native.learned > apart
-        named = suspicious & (combined(native.traces) > 0.5)
-        if not sure or named.sum() > NAMED * suspicious.sum():
-            return max(level, BESIDE)
-    return apart
-
-
-def gap(log_odds: np.ndarray, base: float, way: float) -> float:
-    """Level at which the number of Gaussians above depends least on it, in relative terms.
-
-    As in maximally stable extremal regions (Matas et al., 2002), of the whole scene at once.
-
-    Args:
-        log_odds: Of N Gaussians, shape (N,).
-        base: From where the level is counted.
-        way: Length of the range of levels.
-
-    Returns:
-        The level, within `GAP` of that range.
-    """
-    levels, ordered = base + way * np.linspace(*GAP, 46), np.sort(log_odds)
-
-    def above(levels: np.ndarray) -> np.ndarray:
-        return np.log(len(ordered) - np.searchsorted(ordered, levels) + FEW)
-
-    lost = above(levels - MARGIN * way) - above(levels + MARGIN * way)
-    return float(levels[np.argmin(lost)])
-
-
-def _doubts(native: Native, labels: np.ndarray, certain: float) -> list[str]:
-    """What a user should know before believing the labels."""
-    if not native.known.any():
-        return ["No Gaussian could be described, so nothing is said of any."]
+def _warnings(evidence: ForensicEvidence, labels: np.ndarray) -> list[str]:
+    if not evidence.known.any():
+        return ["There are too few valid Gaussians for forensic features; none is scored."]
     if not labels.any():
-        return ["Nothing about the Gaussians speaks for an edit."]
-    if certain < 0.5:
+        return ["The attributes of the Gaussians show no evidence of an edit."]
+    if evidence.verdict < 0.5:
         return [
-            "What is labelled is what stands out most, as something does in untouched scenes, too: "
-            "perhaps nothing was tampered with."
+            "The labels mark what stands out most, which something does in authentic scenes, too: "
+            "the scene may be authentic."
         ]
     return []
-
-
-def with_traces(log_odds: np.ndarray, found: Sequence[Trace]) -> np.ndarray:
-    """Log odds of the noisy-or of both: either alone is enough."""
-    if not found:
-        return log_odds
-    score = np.minimum(combined(found), 1 - 1e-6)
-    with np.errstate(divide="ignore"):  # a score of 0 leaves the log odds as they are
-        return np.minimum(np.logaddexp(log_odds, np.log(score)) - np.log1p(-score), SURE)

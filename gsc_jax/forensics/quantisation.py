@@ -1,122 +1,145 @@
-"""Lattices of quantised values, and which rows are off the one that the scene was stored on.
+"""Trace of quantisation: values that are not on the levels that the scene was quantised to.
 
-A component of a compressed file takes a few hundred values, uniform or a codebook. What is pasted
-or changed afterwards is off them in one of two ways: by rare values between the common ones, or,
-where it is quantised too, by a second lattice that is interleaved with the first. No step or offset
-is assumed; values are compared bit by bit.
+A component of a compressed file takes a few hundred values, uniform or from a codebook. Values
+pasted or changed afterwards are rare values between the common ones or, where they are quantised
+too, a second set of levels interleaved with the first. Values are compared bit by bit. Exporters
+split large scenes into tiles with a codebook each, so a large part with its own levels is no edit.
 """
-
-from typing import Any
 
 import numpy as np
 
-COMMON = 8
-"""Occurrences that make a value one of a lattice; free floats occur once or twice."""
-LATTICE = 0.5
-"""Share of rows with common values that makes a lattice; the rest may be pasted."""
-FREE = 2
-"""Median occurrences up to which a component is free floats, and common values are what is odd."""
-VALUES = 1024
-"""A lattice of more values than this is too fine for its blocks to be told from chance."""
-GAP = 4.0
-"""A value between two of the lattice that are further apart than this many typical steps is in
-a tail, where a lattice has holes."""
+from gsc_jax.forensics.traces import Trace, make_trace, region_scores
+from gsc_jax.scene import Gaussians
+
+MIN_REPEATS, MAX_FREE_REPEATS = 8, 2
+"""Occurrences that make a value a level; median up to which a component is not quantised, since
+float32 values occur once or twice."""
+MIN_SHARED = 0.5
+"""Share of values on levels from which a component counts as quantised; the rest may be pasted."""
+MAX_LEVELS = 1024
+"""More levels than this are too fine to distinguish interleaved sets from chance."""
+MAX_GAP_RATIO = 4.0
+"""Gap between levels, in typical gaps nearby, above which the levels are in a sparse tail."""
 BIN = 8
-"""Adjacent values of a lattice that would be interchangeable if they had one origin."""
-BLOCKS = 4
-"""Blocks of values that are looked for beside the largest."""
-APART = 0.7
-"""Correlation of neighbours' exact values, given their bins, above which there are two lattices:
-0.56 at most in authentic objects of one codebook, 0.77 to 0.98 for what was edited."""
-LOOSELY: dict[str, Any] = {"tol": 1e-2}
-"""How well the eigenvectors are solved for; they only have to part values."""
-STRAY = 2.0
-"""How many times as near to the scene's values as to a block's a value of the scene is."""
-TILE = 0.2
-"""A part of this share with its own lattice is a tile of the export, not an edit."""
-LOYAL = 0.75
-"""Share of neighbours of the same lattice within a block of values."""
+"""Adjacent levels that neighbours of one origin would use interchangeably."""
+MAX_BLOCKS = 4
+"""Sets of levels searched besides the largest."""
+MIN_EIGENVALUE = 0.7
+"""Correlation of the exact levels of neighbours, given their bins, above which there are two sets:
+at most 0.56 in authentic objects with one codebook, 0.77 to 0.98 in edits."""
+SCENE_FACTOR = 2.0
+"""Weight of distances to the levels of the scene, since those of an edit scatter towards them."""
+MAX_BLOCK_SHARE = 0.2
+"""Share of the Gaussians above which a set of levels is a tile of the export."""
+MIN_SAME_SET = 0.75
+"""Share of neighbours on the same set of levels."""
 
 
-def off_lattice(
-    column: np.ndarray, usable: np.ndarray, neighbours: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Which rows have a value that is not on the lattice of one component.
+def quantisation(gaussians: Gaussians, neighbours: np.ndarray) -> Trace:
+    """Detect regions off the quantisation levels of scales or colours.
 
-    Where hardly any value is shared, those that are shared are the odd ones.
+    Positions are left out, since their levels are so fine that sparse parts seem unquantised, and
+    so are rotations, which some exporters normalise after rounding.
+    """
+    groups = {"scales": gaussians.log_scales, "colours": gaussians.sh[:, 0]}
+    marks = {
+        name: np.array([off_levels(column, neighbours) for column in np.asarray(values).T])
+        for name, values in groups.items()
+    }
+    # A tile has its own levels in all groups; an edit changes one, or has values off all levels.
+    tile = np.all([mark[:, 1].mean(axis=0) > 0.5 for mark in marks.values()], axis=0)
+    score, names = np.zeros(len(gaussians), np.float32), []
+    for name, (off, other) in ((name, mark.swapaxes(0, 1)) for name, mark in marks.items()):
+        one = region_scores((off | other & ~tile).mean(axis=0) > 0.5, neighbours)
+        score = 1 - (1 - score) * (1 - one)
+        names += [name] * bool((one > 0.5).any())
+    found = f"have {' and '.join(names)} off the values that the others share"
+    return make_trace("quantisation", score, found, "No part has quantisation levels of its own.")
+
+
+def off_levels(column: np.ndarray, neighbours: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mark values of one component that are not on its levels.
+
+    Where hardly any value is shared, the component is not quantised and shared values are marked.
 
     Args:
-        column: The component of each row, shape (N,).
-        usable: Rows that count, the others being at least no one's neighbours, shape (N,) bool.
-        neighbours: Nearest others of each row in space, shape (N, K).
+        column: One component of each Gaussian, shape (N,).
+        neighbours: Nearest other Gaussians, shape (N, K).
 
     Returns:
-        Rows without the lattice and rows with another one, both of shape (N,) bool; all False if
-        the component is neither on a lattice nor free of any.
+        Gaussians off all levels and Gaussians on another set of levels, both (N,) bool; all False
+        if the component is neither quantised nor free of shared values.
     """
     nothing = np.zeros(len(column), bool)
-    if not usable.any():
-        return nothing, nothing
-    column = np.where(usable, column, column[np.argmax(usable)])
     values, codes, counts = np.unique(column, return_inverse=True, return_counts=True)
-    common = counts >= COMMON
+    common = counts >= MIN_REPEATS
     shared = common[codes]
-    if common.sum() < 2 * BIN:
+    if common.sum() < 2 * BIN:  # too few levels to distinguish two sets
         return nothing, nothing
-    if np.median(counts[codes[usable]]) <= FREE:
+    if np.median(counts[codes]) <= MAX_FREE_REPEATS:
         return shared, nothing
-    if shared[usable].mean() < LATTICE:
+    if shared.mean() < MIN_SHARED:
         return nothing, nothing
     level = np.where(shared, np.cumsum(common)[codes] - 1, -1)
-    return ~shared & _within(values, common)[codes], _block(level, common.sum(), neighbours)
+    between = _between_levels(values, common)[codes]
+    return ~shared & between, _second_set(level, common.sum(), neighbours)
 
 
-def _within(values: np.ndarray, common: np.ndarray) -> np.ndarray:
-    """Which values lie between common ones that are no further apart than usual there, (V,)."""
+def _between_levels(values: np.ndarray, common: np.ndarray) -> np.ndarray:
+    """Mask of values between two levels whose gap is typical there, shape (V,)."""
     from scipy.ndimage import median_filter
 
-    known = values[common].astype(np.float64)
-    gaps = np.diff(known)
-    usual = gaps <= GAP * median_filter(gaps, 2 * BIN + 1, mode="nearest")
-    after = np.searchsorted(known, values)
-    between = (after > 0) & (after < len(known))
-    return between & usual[np.clip(after - 1, 0, len(gaps) - 1)]
+    levels = values[common].astype(np.float64)
+    gaps = np.diff(levels)
+    typical = gaps <= MAX_GAP_RATIO * median_filter(gaps, 2 * BIN + 1, mode="nearest")
+    after = np.searchsorted(levels, values)
+    between = (after > 0) & (after < len(levels))
+    return between & typical[np.clip(after - 1, 0, len(gaps) - 1)]
 
 
-def _block(codes: np.ndarray, count: int, neighbours: np.ndarray) -> np.ndarray:
-    """Which rows have values that form a small lattice of their own, shape (N,) bool.
+def _second_set(codes: np.ndarray, count: int, neighbours: np.ndarray) -> np.ndarray:
+    """Mask of values on a small set of levels that is interleaved with the others, shape (N,).
 
-    Neighbours of one origin take any of the adjacent values of a lattice; where two lattices are
-    interleaved, they keep to one of them. That is an eigenvector, of an eigenvalue near 1, of how
-    often neighbours have each pair of values less how often they have that pair of bins.
+    Neighbours of one origin take any of the adjacent levels; with two interleaved sets, they keep
+    to one of them. A set is then an eigenvector, with an eigenvalue near 1, of how often neighbours
+    have each pair of levels less the expectation from the frequency of their pair of bins.
     """
     none = np.zeros(len(codes), bool)
-    if count > VALUES:
+    if count > MAX_LEVELS:
         return none
     bins = np.arange(0, count, BIN)
-    surprise, degrees = _surprise(_pairs(codes, count, neighbours), bins)
-    places = _directions(surprise) / np.sqrt(degrees)[:, None]
+    excess, degrees = _excess(_pair_counts(codes, count, neighbours), bins)
+    places = _leading_vectors(excess) / np.sqrt(degrees)[:, None]
     if not places.size:
         return none
-    seeds = _farthest(places, degrees)
-    gaps = np.linalg.norm(places[:, None] - seeds, axis=2)
-    # The values of the scene lie close together, those of an edit stray towards them.
-    gaps[:, 0] *= STRAY
-    blocks = np.argmin(gaps, axis=1)
-    shares = np.bincount(blocks[codes[codes >= 0]], minlength=len(seeds)) / len(codes)
-    odd = (shares <= TILE)[blocks]
-    # Where all values of a bin are odd nothing is interleaved: extremes neighbour only each other.
-    odd &= ~np.repeat(np.logical_and.reduceat(odd, bins), BIN)[:count]
-    foreign = (codes >= 0) & odd[codes]
-    loyal = foreign[neighbours][foreign].mean() if foreign.any() else 0
-    return foreign if loyal >= LOYAL and foreign.mean() <= TILE else none
+    centres = _farthest_points(places, degrees)
+    distances = np.linalg.norm(places[:, None] - centres, axis=2)
+    distances[:, 0] *= SCENE_FACTOR
+    sets = np.argmin(distances, axis=1)
+    shares = np.bincount(sets[codes[codes >= 0]], minlength=len(centres)) / len(codes)
+    other = (shares <= MAX_BLOCK_SHARE)[sets]
+    # A bin with only such levels is not interleaved: extreme values neighbour only each other.
+    other &= ~np.repeat(np.logical_and.reduceat(other, bins), BIN)[:count]
+    marked = (codes >= 0) & other[codes]
+    same_set = marked[neighbours][marked].mean() if marked.any() else 0
+    return marked if same_set >= MIN_SAME_SET and marked.mean() <= MAX_BLOCK_SHARE else none
 
 
-def _surprise(pairs: np.ndarray, bins: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How much oftener pairs of values are neighbours than their bins, (V, V), and degrees, (V,).
+def _pair_counts(codes: np.ndarray, count: int, neighbours: np.ndarray) -> np.ndarray:
+    """How often neighbours have each pair of levels, symmetric, shape (L, L)."""
+    near = neighbours[:, :4]
+    one, other = np.repeat(codes, near.shape[1]), codes[near].ravel()
+    both = (one >= 0) & (other >= 0)
+    pairs = np.bincount(one[both] * count + other[both], minlength=count**2)
+    pairs = pairs.reshape(count, count).astype(np.float64)
+    return pairs + pairs.T
 
-    Divided by the degrees of both, so that eigenvalues are at most about 1: all neighbours of a
-    part are of that part.
+
+def _excess(pairs: np.ndarray, bins: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pair counts less those expected from the bins, shape (L, L), and degrees, shape (L,).
+
+    Divided by the square root of both degrees, so that eigenvalues are at most about 1: all
+    neighbours of a set are on that set.
     """
     degrees = np.maximum(pairs.sum(axis=1), 1.0)
     member = np.arange(len(pairs)) // BIN
@@ -126,38 +149,22 @@ def _surprise(pairs: np.ndarray, bins: np.ndarray) -> tuple[np.ndarray, np.ndarr
     return (pairs - expected) / np.sqrt(np.outer(degrees, degrees)), degrees
 
 
-def _directions(surprise: np.ndarray) -> np.ndarray:
-    """Eigenvectors whose eigenvalues tell of two lattices, shape (V, at most `BLOCKS`)."""
-    from scipy.sparse.linalg import ArpackNoConvergence, eigsh
+def _leading_vectors(excess: np.ndarray) -> np.ndarray:
+    """Eigenvectors with eigenvalues that indicate two sets, shape (L, at most `MAX_BLOCKS`)."""
+    from scipy.linalg import eigh
 
-    if not surprise.any():
-        return surprise[:, :0]
-    start = np.random.default_rng(0).normal(size=len(surprise))
-    try:
-        size, vectors = eigsh(surprise, k=BLOCKS, which="LA", v0=start, **LOOSELY)
-    except ArpackNoConvergence as trouble:
-        size, vectors = trouble.eigenvalues, trouble.eigenvectors
-    return vectors[:, size > APART]
+    vectors = eigh(excess, subset_by_value=(MIN_EIGENVALUE, np.inf))[1]
+    return vectors[:, -MAX_BLOCKS:]
 
 
-def _pairs(codes: np.ndarray, count: int, neighbours: np.ndarray) -> np.ndarray:
-    """How often neighbours have each pair of values, symmetric, shape (V, V)."""
-    near = neighbours[:, :4]
-    one = np.repeat(codes, near.shape[1])
-    other = codes[near].ravel()
-    both = (one >= 0) & (other >= 0)
-    pairs = np.bincount(one[both] * count + other[both], minlength=count**2)
-    pairs = pairs.reshape(count, count).astype(np.float64)
-    return pairs + pairs.T
-
-
-def _farthest(places: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """One more point than dimensions, each far from those before; light ones do not count."""
+def _farthest_points(places: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """The weighted median of the first axis, then D points far from those before, (D + 1, D)."""
     order = np.argsort(places[:, 0])
     middle = np.searchsorted(np.cumsum(weights[order]), weights.sum() / 2)
     chosen = [int(order[middle])]
-    heavy = weights >= 8 * COMMON
+    # Levels of few Gaussians have unreliable places.
+    frequent = weights >= 8 * MIN_REPEATS
     for _ in range(places.shape[1]):
         gaps = np.linalg.norm(places[:, None] - places[chosen], axis=2).min(axis=1)
-        chosen.append(int(np.argmax(np.where(heavy, gaps, -1))))
+        chosen.append(int(np.argmax(np.where(frequent, gaps, -1))))
     return places[chosen]

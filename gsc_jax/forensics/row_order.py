@@ -1,82 +1,86 @@
-"""The order of the rows of a file: a block of them that is unlike all others.
+"""Trace of appended objects: a block of rows of the file that differs from all other rows.
 
-The rows are cut into pieces. In a file that is not sorted all pieces are alike, and an object that
-was appended stands out by many of the deviations that blocks of its length have there. A sorted
-file changes along its rows by itself, so its order is no evidence.
+The rows are cut into pieces. In an unsorted file all pieces have about the same mean attributes,
+and an appended object deviates by many times the usual deviation. A sorted file changes along its
+rows anyway, so its order is no evidence.
 """
 
 import numpy as np
 
+from gsc_jax.forensics.traces import Trace, make_trace
 from gsc_jax.scene import Gaussians
+from gsc_jax.scene.statistics import median_and_mad
 
 PIECES = 256
-"""Pieces that the rows of a file are cut into."""
-SORTED = 0.3
-"""Correlation of adjacent pieces above which a file is sorted."""
-STRANGE = 12.0
-"""Robust deviations by which a block must differ, in three attributes or more."""
-SURE = 0.95
-"""Score of the rows of a block, whose ends are only known to a piece."""
-COMPACT = 0.5
-"""Spread of an appended object in units of the scene's, at most."""
-FEWEST = 32
+"""Number of pieces of a file."""
+MIN_PIECE_ROWS = 32
 """Rows of a piece, at least."""
+MAX_CORRELATION = 0.3
+"""Correlation of adjacent pieces above which a file counts as sorted."""
+MIN_DEVIATION = 12.0
+"""Robust deviations of a block, in three attributes or more."""
+MAX_EXTENT = 0.5
+"""Standard deviation of the positions of an appended object, in units of that of the scene."""
+BLOCK_SCORE = 0.95
+"""Score of the rows of a block, whose ends are known only up to a piece."""
+
+
+def row_order(gaussians: Gaussians, neighbours: np.ndarray | None = None) -> Trace:
+    """Detect a block of rows unlike the rest of an unsorted file; needs no neighbours."""
+    del neighbours
+    score = np.zeros(len(gaussians), np.float32)
+    score[appended_rows(gaussians)] = BLOCK_SCORE
+    found = "follow each other in the file and differ from all other rows"
+    return make_trace("row-order", score, found, "No block of rows stands out.")
 
 
 def appended_rows(gaussians: Gaussians) -> slice:
-    """The rows of the block that stands out, an empty slice if none does.
-
-    Args:
-        gaussians: N Gaussians without NaN or infinity.
-
-    Returns:
-        A slice of the rows, right to a piece of N / 256 of them or so.
-    """
-    pieces = min(PIECES, len(gaussians) // FEWEST)
-    if pieces < 16:
+    """Rows of the block that stands out, to within a piece; an empty slice if none does."""
+    pieces = min(PIECES, len(gaussians) // MIN_PIECE_ROWS)
+    if pieces < 16:  # too few to estimate the usual deviation
         return slice(0)
     columns = _standardised(gaussians)
     bounds = np.linspace(0, len(columns), pieces + 1).round().astype(int)
     means = np.add.reduceat(columns, bounds[:-1]) / np.diff(bounds)[:, None]
-    start, stop = _strangest(means, len(columns) / pieces)
+    start, stop = _most_deviating(means, len(columns) / pieces)
     inside = columns[bounds[start] : bounds[stop], :3]
-    if not len(inside) or (inside.std(axis=0) > COMPACT * columns[:, :3].std(axis=0)).any():
+    if not len(inside) or (inside.std(axis=0) > MAX_EXTENT * columns[:, :3].std(axis=0)).any():
         return slice(0)
-    if _lag(np.delete(means, np.arange(start, stop), axis=0)) > SORTED:
+    if _autocorrelation(np.delete(means, np.arange(start, stop), axis=0)) > MAX_CORRELATION:
         return slice(0)
-    start, stop = _widened(means, start, stop)
+    start, stop = _extended(means, start, stop)
     return slice(bounds[start], bounds[stop])
 
 
-def _strangest(means: np.ndarray, size: float) -> tuple[int, int]:
-    """First piece and end of the block that differs most, (0, 0) if none does by enough."""
+def _most_deviating(means: np.ndarray, piece_rows: float) -> tuple[int, int]:
+    """First piece and end of the most deviating block; (0, 0) if none is above the threshold."""
     sums = np.concatenate([np.zeros((1, means.shape[1])), np.cumsum(means, axis=0)])
-    best, block = STRANGE, (0, 0)
+    best, block = MIN_DEVIATION, (0, 0)
     for length in range(1, len(means) // 3):
         windows = (sums[length:] - sums[:-length]) / length
-        off = np.abs(windows - np.median(windows, axis=0))
-        # What chance alone makes of the mean of so many rows.
-        floor = 1 / np.sqrt(length * size)
-        strange = off / np.maximum(1.48 * np.median(off, axis=0), floor)
-        third = np.sort(strange, axis=1)[:, -3]
+        median, mad = median_and_mad(windows)
+        # Standard error of the mean of standardised rows.
+        floor = 1 / np.sqrt(length * piece_rows)
+        deviation = np.abs(windows - median) / np.maximum(mad, floor)
+        third = np.sort(deviation, axis=1)[:, -3]
         start = int(np.argmax(third))
         if third[start] > best:
             best, block = third[start], (start, start + length)
     return block
 
 
-def _lag(means: np.ndarray) -> float:
-    """Correlation of adjacent pieces in the mean of the attributes."""
+def _autocorrelation(means: np.ndarray) -> float:
+    """Correlation of adjacent pieces, averaged over the attributes."""
     off = means - means.mean(axis=0)
-    steps = np.sum(off[1:] * off[:-1], axis=0) / np.maximum(np.sum(off**2, axis=0), 1e-9)
-    return float(np.mean(np.abs(steps)))
+    products = np.sum(off[1:] * off[:-1], axis=0) / np.maximum(np.sum(off**2, axis=0), 1e-9)
+    return float(np.mean(np.abs(products)))
 
 
-def _widened(means: np.ndarray, start: int, stop: int) -> tuple[int, int]:
-    """The block with the pieces beside it that are more like it than like the rest."""
-    middle = np.median(means, axis=0)
-    towards = means[start:stop].mean(axis=0) - middle
-    alike = (means - middle) @ towards > 0.5 * towards @ towards
+def _extended(means: np.ndarray, start: int, stop: int) -> tuple[int, int]:
+    """The block with the adjacent pieces that resemble it more than the rest of the file."""
+    median = np.median(means, axis=0)
+    direction = means[start:stop].mean(axis=0) - median
+    alike = (means - median) @ direction > 0.5 * direction @ direction
     while start > 0 and alike[start - 1]:
         start -= 1
     while stop < len(means) and alike[stop]:
@@ -85,8 +89,8 @@ def _widened(means: np.ndarray, start: int, stop: int) -> tuple[int, int]:
 
 
 def _standardised(gaussians: Gaussians) -> np.ndarray:
-    """Positions and other attributes by their median and MAD, clipped, shape (N, D)."""
-    log_scales = np.maximum(np.asarray(gaussians.log_scales), -30)
+    """Positions, sizes, opacities and colours in units of their MAD, clipped, shape (N, D)."""
+    log_scales = np.asarray(gaussians.log_scales)
     columns = [
         np.asarray(gaussians.means),
         log_scales.mean(axis=1, keepdims=True),
@@ -95,5 +99,5 @@ def _standardised(gaussians: Gaussians) -> np.ndarray:
         np.asarray(gaussians.sh)[:, 0],
     ]
     columns = np.concatenate(columns, axis=1, dtype=np.float32)
-    off = columns - np.median(columns, axis=0)
-    return np.clip(off / (1.48 * np.median(np.abs(off), axis=0) + 1e-6), -4, 4)
+    median, mad = median_and_mad(columns)
+    return np.clip((columns - median) / (mad + 1e-6), -4, 4)

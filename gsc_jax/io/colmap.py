@@ -1,4 +1,4 @@
-"""Cameras of a COLMAP reconstruction, through pycolmap (the extra `colmap`)."""
+"""COLMAP reconstructions, binary or text, through pycolmap (the extra `colmap`)."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,21 +15,15 @@ MODEL_FILES = ("cameras.bin", "cameras.txt", "images.bin", "images.txt")
 
 
 def is_colmap(folder: Path) -> bool:
-    """Whether a folder holds a COLMAP model itself, binary or text."""
+    """Return whether a folder directly holds a COLMAP model."""
     return any((folder / name).is_file() for name in MODEL_FILES)
 
 
 def read_colmap(folder: Path) -> list[Camera]:
-    """The registered images of a COLMAP model, by name, with their full intrinsics.
-
-    Args:
-        folder: The folder of cameras, images and points3D, binary or text.
-
-    Returns:
-        Cameras, each named as the image is, with folders and dots.
+    """Read the registered images of a COLMAP model with their full intrinsics, sorted by name.
 
     Raises:
-        InputError: if pycolmap is missing or cannot read the model, or if a camera is distorted.
+        InputError: If pycolmap is missing or cannot read the model, or a camera is distorted.
     """
     try:
         import pycolmap
@@ -39,7 +33,7 @@ def read_colmap(folder: Path) -> list[Camera]:
         ) from error
     try:
         model = pycolmap.Reconstruction(folder)
-    except Exception as error:  # C++ exceptions of any kind come through
+    except Exception as error:  # pycolmap passes on C++ exceptions of any kind
         reason = " ".join(str(error).split())
         raise InputError(
             f"{folder}: pycolmap cannot read it ({reason}), expected cameras, images and points3D, "

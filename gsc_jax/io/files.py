@@ -1,9 +1,4 @@
-"""Writing files so that nobody ever sees half of one.
-
-Everything this package writes goes to a temporary name in the folder of the target and is renamed
-when it is complete: an interrupted run leaves the old file or none, and a file may be written over
-the one it was read from.
-"""
+"""Atomic writing of files, and the check that an input file exists."""
 
 import contextlib
 import uuid
@@ -15,20 +10,11 @@ from gsc_jax.scene import InputError
 
 @contextlib.contextmanager
 def atomic(path: str | Path) -> Iterator[Path]:
-    """A temporary path to write to, which takes the place of `path` when the block ends well.
+    """Yield a temporary path in the same folder; rename it to `path` when the block succeeds.
 
-    The folder is made where it is missing. The temporary name keeps the suffix, for writers that
-    go by it. Nothing but the writing belongs into the block: its `OSError`s are reported as those
-    of `path`.
-
-    Args:
-        path: The file to write or to replace.
-
-    Yields:
-        A path in the same folder at which nothing is yet.
-
-    Raises:
-        InputError: if the file cannot be written (no permission, no space, a folder is there).
+    A run that is interrupted leaves the previous file or none, and a file may replace the one that
+    it was read from. The temporary name keeps the suffix, by which some writers choose a format.
+    Put only the writing into the block: any `OSError` in it is reported as an InputError of `path`.
     """
     path = Path(path)
     temporary = path.with_name(f".{path.stem}.{uuid.uuid4().hex[:12]}{path.suffix}")
@@ -45,15 +31,7 @@ def atomic(path: str | Path) -> Iterator[Path]:
 
 
 def existing_file(path: str | Path, *, expected: str) -> Path:
-    """The path, once it is known to be a file.
-
-    Args:
-        path: What somebody gave.
-        expected: What it should be, for the message: "a scene (.ply)".
-
-    Raises:
-        InputError: if there is nothing, or no file, at the path.
-    """
+    """Return the path if it is a file; else raise InputError with the kind of file `expected`."""
     path = Path(path)
     if path.is_dir():
         raise InputError(f"{path}: is a folder, expected {expected}; name the file in it")

@@ -1,11 +1,12 @@
-"""Scenes as .ply files, read by property name so that every exporter's layout is understood.
+"""Scenes as .ply files, read by property name, so that the layout of any exporter is accepted.
 
 plyfile does the parsing: any order of properties, ascii or binary of either byte order, values and
-extra properties of any type. What is not ours is kept, so that a result is the scene that was given
-plus one property. Rows that cannot be rendered are left out of the Gaussians, counted by reason,
-and stay in the file. Which property means what is told in `gsc_jax.io.layout`.
+extra properties of any type. Properties that describe no Gaussian are kept, so that a result is the
+input scene plus one property. Rows that cannot be rendered are excluded from the Gaussians, counted
+by reason, and stay in the file. `gsc_jax.io.layout` lists the meaning of each property.
 """
 
+import copy
 import dataclasses
 import warnings
 from pathlib import Path
@@ -13,28 +14,29 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gsc_jax.io import formats
+from gsc_jax.io import compressed
 from gsc_jax.io.files import atomic, existing_file
 from gsc_jax.io.layout import decode, encode
 from gsc_jax.render.spherical_harmonics import Y0
 from gsc_jax.scene import Array, Gaussians, InputError, invalid_rows
 
 if TYPE_CHECKING:
-    from plyfile import PlyData, PlyElement
+    from plyfile import PlyData
 
 TAMPERED_COLOR = np.array([1.0, 0.1, 0.1])
 LUMA = np.array([0.299, 0.587, 0.114])
+"""Weights of red, green and blue in the luminance (ITU-R BT.601)."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class PlyScene:
-    """A scene and the file that it came from.
+    """A scene and the content of its file.
 
     Attributes:
         gaussians: The N Gaussians that can be rendered, NumPy float32.
         rows: Row of each of them in the file, ascending, shape (N,) int64.
-        ply: All of the file, in memory; for a compressed scene its INRIA layout.
-        dropped: Number of rows left out, by reason; a row counts under its first reason.
+        ply: The whole file, in memory; for a compressed scene its INRIA layout.
+        dropped: Number of excluded rows by reason; a row counts under its first reason.
     """
 
     gaussians: Gaussians
@@ -44,67 +46,57 @@ class PlyScene:
 
     @property
     def total(self) -> int:
-        """Number of rows in the file, with those left out."""
+        """Number of rows in the file, including the excluded ones."""
         return len(self.ply["vertex"])
 
     @property
     def dropped_summary(self) -> str:
-        """One line on the rows left out; empty when there are none."""
+        """One line about the excluded rows; empty if there are none."""
         reasons = ", ".join(f"{reason}: {count}" for reason, count in self.dropped.items())
         count = sum(self.dropped.values())
         return f"left out {count} of {self.total} Gaussians ({reasons})" if count else ""
 
     def expand(self, values: Array, *, fill: float = 0) -> np.ndarray:
-        """Spreads values per Gaussian over the rows of the file.
+        """Distribute values per Gaussian, shape (N, ...), to the rows of the file, (total, ...).
 
-        Args:
-            values: One entry per Gaussian, shape (N, ...).
-            fill: What the rows left out get.
-
-        Returns:
-            One entry per row, shape (total, ...), of the same dtype.
-
-        Raises:
-            ValueError: if there are not N values.
+        Excluded rows get `fill`; another number of values raises ValueError.
         """
         values = np.asarray(values)
         if values.shape[:1] != self.rows.shape:
             raise ValueError(f"expected {len(self.rows)} values, got shape {values.shape}")
-        spread = np.full((self.total, *values.shape[1:]), fill, values.dtype)
-        spread[self.rows] = values
-        return spread
+        expanded = np.full((self.total, *values.shape[1:]), fill, values.dtype)
+        expanded[self.rows] = values
+        return expanded
 
 
 def read_ply(path: str | Path) -> PlyScene:
-    """Reads a scene with all that its file holds.
+    """Read a scene with the whole content of its file.
 
-    Understood are the INRIA, gsplat, SuperSplat, GS-Checker and 2DGS layouts of degree 0 to 3, and
-    compressed scenes through `gsc_jax.io.formats`. The file may be overwritten afterwards. Ascii
-    is slow: a minute for a million Gaussians and more.
+    Supported are the INRIA, gsplat, SuperSplat, GS-Checker and 2DGS layouts of degree 0 to 3, and
+    compressed scenes through `gsc_jax.io.compressed`. The file may be overwritten afterwards. Ascii
+    is slow: more than a minute per million Gaussians.
 
     Args:
         path: A .ply, .compressed.ply, .spz or .sog file.
 
     Returns:
-        The scene; Gaussians that cannot be rendered are counted in `dropped`.
+        The scene; `dropped` counts the Gaussians that cannot be rendered.
 
     Raises:
-        InputError: if the file is missing, no PLY or damaged, lacks properties, or holds no
+        InputError: If the file is missing, not a PLY or damaged, lacks properties, or holds no
             Gaussian that can be rendered.
     """
     path = existing_file(path, expected="a scene (.ply)")
-    if path.suffix.lower() in formats.SUFFIXES:
-        ply = encode(formats.read_compressed(path))
-    else:
-        ply = _parse(path)
-    if formats.is_compressed_ply(ply):
-        formats.check_compressed_ply(ply, path)
-        ply = encode(formats.read_compressed(path))
+    if path.suffix.lower() in compressed.SUFFIXES:
+        return _scene(encode(compressed.read_compressed(path)), path)
+    ply = _parse(path)
+    if compressed.is_compressed_ply(ply, path):
+        ply = encode(compressed.read_compressed(path))
     return _scene(ply, path)
 
 
 def load_ply(path: str | Path) -> Gaussians:
-    """Reads the Gaussians of a scene; warns in one line when rows were left out.
+    """Read the Gaussians of a scene and warn in one line if rows were left out.
 
     Args:
         path: A .ply, .compressed.ply, .spz or .sog file.
@@ -113,7 +105,7 @@ def load_ply(path: str | Path) -> Gaussians:
         The Gaussians that can be rendered, NumPy float32.
 
     Raises:
-        InputError: as `read_ply`.
+        InputError: As `read_ply`.
     """
     scene = read_ply(path)
     if scene.dropped:
@@ -122,7 +114,7 @@ def load_ply(path: str | Path) -> Gaussians:
 
 
 def save_ply(path: str | Path, gaussians: Gaussians, *, tamper: Array | None = None) -> None:
-    """Writes the plain INRIA layout: binary little endian float32, normals zero.
+    """Write the plain INRIA layout: binary little endian float32, normals zero.
 
     Args:
         path: The file to write or to replace.
@@ -130,56 +122,32 @@ def save_ply(path: str | Path, gaussians: Gaussians, *, tamper: Array | None = N
         tamper: Score per Gaussian, shape (N,), written as the last property `tamper`.
 
     Raises:
-        InputError: if the file cannot be written.
-        ValueError: if there are not N scores.
+        InputError: If the file cannot be written.
+        ValueError: If there are not N scores.
     """
-    _write(path, encode(gaussians, tamper=tamper))
+    ply = encode(gaussians)
+    _write(path, ply if tamper is None else _with_tamper(ply, np.asarray(tamper)))
 
 
 def save_tampered(path: str | Path, scene: PlyScene, tamper: Array) -> None:
-    """Writes the scene as it was read plus a last float32 property `tamper`.
+    """Write the scene as it was read, plus a last float32 property `tamper`.
 
-    Every row, property, element and comment is kept, in order and type; a `tamper` that the file
-    had is replaced. The result is binary little endian whatever the file was.
-
-    Args:
-        path: The file to write; may be the one that was read.
-        scene: What `read_ply` returned.
-        tamper: Score per Gaussian, shape (N,); rows left out get 0.
+    Every row, property, element and comment is kept, in order and type; an existing property
+    `tamper` is replaced. The output is binary little endian and may replace the file that was read.
+    Scores have shape (N,); excluded rows get 0.
 
     Raises:
-        InputError: if the file cannot be written.
-        ValueError: if there are not N scores.
+        InputError: If the file cannot be written.
+        ValueError: If there are not N scores.
     """
-    from plyfile import PlyData
-
-    scores = scene.expand(np.asarray(tamper, np.float32))
-    if scores.ndim != 1:
-        raise ValueError(f"expected scores of shape (N,), got {np.shape(tamper)}")
-    vertex = _with_tamper(scene.ply["vertex"], scores)
-    ply = PlyData(
-        [vertex if element.name == "vertex" else element for element in scene.ply.elements],
-        # Not the order of the file: plyfile 1.1 ignores it for scalars next to a list property.
-        byte_order="<",
-        comments=scene.ply.comments,
-        obj_info=scene.ply.obj_info,
-    )
-    _write(path, ply)
+    _write(path, _with_tamper(scene.ply, scene.expand(np.asarray(tamper))))
 
 
 def save_highlight(path: str | Path, gaussians: Gaussians, labels: Array) -> None:
-    """Writes a copy in which any viewer shows the tampered Gaussians red and the others grey.
-
-    Args:
-        path: The file to write or to replace.
-        gaussians: N Gaussians.
-        labels: Which of them are tampered, shape (N,) bool.
-
-    Raises:
-        InputError: if the file cannot be written.
-    """
+    """Write a copy whose tampered Gaussians (labels, shape (N,) bool) are red, the others grey."""
     sh = np.asarray(gaussians.sh, np.float32)
     luma = np.clip(0.5 + Y0 * sh[:, 0], 0, 1) @ LUMA
+    # Half of the luminance keeps the structure visible; no grey is as bright as white.
     red = TAMPERED_COLOR * (0.5 + 0.5 * luma[:, None])
     grey = np.repeat(0.2 + 0.5 * luma[:, None], 3, axis=1)
     recolored = np.zeros_like(sh)
@@ -191,7 +159,7 @@ def _parse(path: Path) -> "PlyData":
     from plyfile import PlyData, PlyElementParseError, PlyParseError
 
     try:
-        # A text value beyond float32 becomes infinite, which the validity of its row decides on.
+        # Text values beyond float32 become infinite; `invalid_rows` judges their rows.
         with np.errstate(over="ignore"):
             ply = PlyData.read(path)
     except PlyElementParseError as error:
@@ -205,7 +173,7 @@ def _parse(path: Path) -> "PlyData":
             "3D Gaussian splatting model"
         ) from error
     for element in ply.elements:
-        # plyfile maps the file into memory: a copy, so that the file may change meanwhile.
+        # plyfile maps the file into memory; a copy stays valid when the file changes.
         element.data = np.array(element.data)
     return ply
 
@@ -230,23 +198,23 @@ def _scene(ply: "PlyData", path: Path) -> PlyScene:
     return scene
 
 
-def _with_tamper(vertex: "PlyElement", scores: np.ndarray) -> "PlyElement":
-    from plyfile import PlyElement, PlyListProperty
+def _with_tamper(ply: "PlyData", scores: np.ndarray) -> "PlyData":
+    """Copy of a PLY with one score per vertex as the last property `tamper`."""
+    from plyfile import PlyProperty
 
+    vertex = copy.copy(ply["vertex"])  # keeps comments and the types of list properties
     kept = [prop for prop in vertex.properties if prop.name != "tamper"]
-    lists = [prop for prop in kept if isinstance(prop, PlyListProperty)]
     dtype = [(prop.name, vertex.data.dtype[prop.name]) for prop in kept]
     data = np.empty(len(vertex), [*dtype, ("tamper", "<f4")])
     for prop in kept:
         data[prop.name] = vertex.data[prop.name]
-    data["tamper"] = scores
-    return PlyElement.describe(
-        data,
-        "vertex",
-        len_types={prop.name: prop.len_dtype for prop in lists},
-        val_types={prop.name: prop.val_dtype for prop in lists},
-        comments=vertex.comments,
-    )
+    data["tamper"] = scores.reshape(len(data))
+    vertex.data, vertex.properties = data, (*kept, PlyProperty("tamper", "f4"))
+    result = copy.copy(ply)
+    result.elements = [vertex if element.name == "vertex" else element for element in ply.elements]
+    # Not the byte order of the input: plyfile 1.1 ignores it for scalars next to a list.
+    result.text, result.byte_order = False, "<"
+    return result
 
 
 def _write(path: str | Path, ply: "PlyData") -> None:

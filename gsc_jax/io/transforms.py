@@ -1,126 +1,102 @@
-"""Cameras of a transforms.json, as nerfstudio, instant-ngp and the Blender scenes write it.
+"""transforms.json as nerfstudio, instant-ngp and the Blender scenes write it.
 
 Poses are camera-to-world with OpenGL axes (x right, y up, z backward), so columns 1 and 2 change
-their sign. Intrinsics stand at the top, or in a frame, which then counts.
+their sign. Intrinsics are stored once for all frames or per frame; those of the frame take
+precedence. A focal length is `fl_x` or follows from `camera_angle_x`; without `w` and `h`, the size
+is read from the image file.
 """
 
-from collections import ChainMap
+import functools
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import pydantic
+from pydantic import Field, FiniteFloat
 
-from gsc_jax.io.pinhole import numbers, pinhole
+from gsc_jax.io.json_cameras import FocalLength, Pixels, Vector4, construct_cameras
+from gsc_jax.io.pinhole import pinhole
 from gsc_jax.scene import Camera, InputError
 
-DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
+DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2", "is_fisheye")
 PINHOLE_MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE")
-"""Camera models that are pinholes once all distortion is zero."""
+"""Camera models that are pinholes if all distortion is zero."""
 
 OPENGL_TO_OPENCV = np.array([1.0, -1.0, -1.0, 1.0])
 IMAGE_SUFFIXES = ("", ".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")
 
+Radians = Annotated[float, Field(gt=0, lt=np.pi)]
+
+
+class _Frame(pydantic.BaseModel):
+    """Keys of a transforms.json, of one frame or shared by all, that describe one camera."""
+
+    file_path: str
+    transform_matrix: Annotated[list[Vector4], Field(min_length=3, max_length=4)]
+    w: Pixels | None = None
+    h: Pixels | None = None
+    fl_x: FocalLength | None = None
+    fl_y: FocalLength | None = None
+    camera_angle_x: Radians | None = None
+    camera_angle_y: Radians | None = None
+    cx: FiniteFloat | None = None
+    cy: FiniteFloat | None = None
+
 
 def read_transforms(data: Mapping[str, Any], path: Path) -> list[Camera]:
-    """The cameras of a transforms.json, in its order.
+    """Convert a parsed transforms.json; raise InputError if it is invalid.
 
-    The focal length is `fl_x` (and `fl_y`), or follows from `camera_angle_x` (and
-    `camera_angle_y`); the principal point is the middle unless `cx` and `cy` are given; without
-    `w` and `h` the image beside the file is asked for its size.
-
-    Args:
-        data: What the file holds.
-        path: The file.
-
-    Returns:
-        Cameras, each named by its `file_path` without a leading "./".
-
-    Raises:
-        InputError: if something is missing, distorted, or no rigid pose.
+    Each camera is named by its `file_path` without a leading "./".
     """
     frames = data.get("frames")
     if not isinstance(frames, list):
         raise InputError(f"{path}: holds no list of frames; export the cameras again")
-    return [_camera(frame, data, path, i) for i, frame in enumerate(frames)]
+    items = [{**data, **frame} if isinstance(frame, dict) else frame for frame in frames]
+    construct = functools.partial(_camera, folder=path.parent)
+    return construct_cameras(items, construct, place=f"{path}: frame", name_key="file_path")
 
 
-def _camera(frame: Any, shared: Mapping[str, Any], path: Path, index: int) -> Camera:
-    where = f"{path}: frame {index}"
-    if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str):
-        raise InputError(f"{where}: lacks 'file_path'; export the cameras again")
-    where = f"{where} ('{frame['file_path']}')"
-    fields = ChainMap(frame, dict(shared))
-    _refuse_distortion(fields, where)
-    size = _size(fields, path, where)
+def _camera(item: Any, *, folder: Path) -> Camera:
+    frame = _Frame.model_validate(item)
+    _check_undistorted(item)
+    size = (frame.w, frame.h) if frame.w and frame.h else _image_size(folder / frame.file_path)
+    x = _focal(frame.fl_x, frame.camera_angle_x, size[0])
+    y = _focal(frame.fl_y, frame.camera_angle_y, size[1])
+    if not (x or y):
+        raise ValueError("lacks 'fl_x' and 'camera_angle_x'; export the cameras again")
     return pinhole(
-        camera_to_world=_pose(fields, where) * OPENGL_TO_OPENCV,
-        focal=_focal(fields, size, where),
-        center=_pair(fields, "cx", "cy", where) if "cx" in fields or "cy" in fields else None,
+        frame.file_path.removeprefix("./"),
+        np.array(frame.transform_matrix) * OPENGL_TO_OPENCV,
+        focal=(x or y, y or x),
+        center=(frame.cx, frame.cy),
         size=size,
-        name=frame["file_path"].removeprefix("./"),
-        where=where,
     )
 
 
-def _pose(fields: Mapping[str, Any], where: str) -> np.ndarray:
-    matrix = fields.get("transform_matrix")
-    rows = 3 if isinstance(matrix, list) and len(matrix) == 3 else 4
-    return numbers(fields, "transform_matrix", (rows, 4), where)
-
-
-def _refuse_distortion(fields: Mapping[str, Any], where: str) -> None:
-    model = fields.get("camera_model", "PINHOLE")
-    distorted = [key for key in DISTORTION if fields.get(key)]
-    if model not in PINHOLE_MODELS or fields.get("is_fisheye") or distorted:
-        found = ", ".join(distorted) or ("fisheye" if fields.get("is_fisheye") else model)
-        raise InputError(
-            f"{where}: the camera is distorted ({found}), expected a pinhole camera; undistort "
+def _check_undistorted(item: Mapping[str, Any]) -> None:
+    found = [key for key in DISTORTION if item.get(key)]
+    model = item.get("camera_model", "PINHOLE")
+    if model not in PINHOLE_MODELS:
+        found.append(f"camera model {model}")
+    if found:
+        raise ValueError(
+            f"the camera is distorted ({', '.join(found)}), expected a pinhole camera; undistort "
             "images and cameras first (colmap image_undistorter)"
         )
 
 
-def _size(fields: Mapping[str, Any], path: Path, where: str) -> tuple[float, float]:
-    if "w" in fields and "h" in fields:
-        return _pair(fields, "w", "h", where)
-    stem = path.parent / fields["file_path"]
-    for suffix in IMAGE_SUFFIXES:
-        image = stem.with_name(stem.name + suffix)
-        if image.is_file():
-            return _image_size(image)
-    raise InputError(f"{where}: lacks 'w' and 'h', and {stem} is no image to ask; add them")
+def _image_size(stem: Path) -> tuple[int, int]:
+    """Width and height in pixels of an image; its suffix may be missing."""
+    from PIL import Image
+
+    for path in (stem.with_name(stem.name + suffix) for suffix in IMAGE_SUFFIXES):
+        if path.is_file():
+            with Image.open(path) as image:
+                return image.size
+    raise ValueError(f"lacks 'w' and 'h', and {stem} is not an image; add them")
 
 
-def _image_size(image: Path) -> tuple[float, float]:
-    import imageio.v3 as iio
-
-    try:
-        height, width = iio.improps(image).shape[:2]
-    except (OSError, ValueError) as error:
-        raise InputError(f"{image}: not an image that can be read ({error})") from error
-    return width, height
-
-
-def _focal(fields: Mapping[str, Any], size: tuple[float, float], where: str) -> tuple[float, float]:
-    x = _focal_along(fields, "x", size[0], where)
-    y = _focal_along(fields, "y", size[1], where)
-    if x is None:
-        x = y
-    if x is None:
-        raise InputError(f"{where}: lacks 'fl_x' and 'camera_angle_x'; export the cameras again")
-    return x, (x if y is None else y)
-
-
-def _focal_along(fields: Mapping[str, Any], axis: str, pixels: float, where: str) -> float | None:
-    if f"fl_{axis}" in fields:
-        return float(numbers(fields, f"fl_{axis}", (), where))
-    if f"camera_angle_{axis}" not in fields:
-        return None
-    angle = float(numbers(fields, f"camera_angle_{axis}", (), where))
-    if not 0 < angle < np.pi:
-        raise InputError(f"{where}: field of view {angle}, expected radians in (0, pi); correct it")
-    return 0.5 * pixels / np.tan(0.5 * angle)
-
-
-def _pair(fields: Mapping[str, Any], x: str, y: str, where: str) -> tuple[float, float]:
-    return float(numbers(fields, x, (), where)), float(numbers(fields, y, (), where))
+def _focal(length: float | None, angle: float | None, pixels: int) -> float:
+    """Focal length in pixels, as given or of a field of view in radians; 0 if both are missing."""
+    return length or (0.5 * pixels / np.tan(0.5 * angle) if angle else 0.0)

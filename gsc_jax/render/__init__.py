@@ -1,1 +1,1 @@
-"""What `splat` stands on: spherical harmonics, projection, tiles, cameras around a scene."""
+"""Projection, tiles, spherical harmonics, camera orbits: the parts of the rasteriser."""

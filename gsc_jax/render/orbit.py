@@ -1,9 +1,6 @@
-"""Views of a scene: cameras around it, and whether given cameras see it at all.
+"""Cameras around a scene, and poses that look at a point.
 
-The commonest trouble of all is a scene and cameras that do not belong together, because an exporter
-normalised the scene or the poses follow another convention; then every image is empty and every
-result is zero. Counting the centres in the frustums tells before anything is rendered. Only opaque
-Gaussians count here: faint ones are often floaters far outside.
+Only opaque Gaussians define where a scene is: faint ones are often floaters far outside.
 """
 
 from collections.abc import Sequence
@@ -11,71 +8,64 @@ from collections.abc import Sequence
 import numpy as np
 
 from gsc_jax.scene import Array, Camera, Gaussians, InputError
+from gsc_jax.scene.camera import intrinsics
 
 ELEVATIONS = np.radians([10.0, 25.0, 40.0])
-"""Angles above the horizon that an orbit takes in turn."""
-
+"""Angles above the horizon that the cameras of an orbit take in turn: usual ones in captures."""
 RADIUS_PERCENTILE = 90
-MARGIN = 1.1
-"""How much farther away an orbit is than its sphere needs to fill the image."""
+"""Percentile of the distances from the centre that is the radius of a scene: most Gaussians."""
+DISTANCE_MARGIN = 1.1
+"""Distance of an orbit in units of the distance at which the scene exactly fills the image."""
 
 
 def orbit_cameras(
     gaussians: Gaussians,
     n: int,
     *,
-    width: int = 640,
-    height: int = 480,
+    size: tuple[int, int] = (640, 480),
     fov_degrees: float = 60.0,
-    up: Array | Sequence[float] | None = None,
+    up: Array | Sequence[float] = (0.0, -1.0, 0.0),
     seed: int = 0,
 ) -> list[Camera]:
-    """Cameras on a circle around a scene, at three elevations, all looking at its centre.
+    """Place cameras on a circle around a scene, at three elevations, looking at its centre.
 
-    The centre is the median of the opaque Gaussians; the distance is such that a sphere around
-    most of them fills the image, so that floaters move neither.
+    The centre is the median of the opaque Gaussians. A sphere around most of them fills the image.
 
     Args:
         gaussians: The scene.
-        n: Number of cameras, called orbit_000, orbit_001 and so on.
-        width: Image width in pixels.
-        height: Image height in pixels.
+        n: Number of cameras; their names are orbit_000, orbit_001 and so on.
+        size: Image width and height in pixels.
         fov_degrees: Horizontal field of view.
-        up: Direction that is up in the world, any length, shape (3,); by default -y, as in scenes
-            from COLMAP.
-        seed: Decides the azimuth of the first camera.
+        up: Up direction of the world, any length, shape (3,); -y in most scenes from COLMAP.
+        seed: Seed of the azimuth of the first camera.
 
     Returns:
         n cameras, NumPy float32.
 
     Raises:
-        InputError: if there are no cameras to place, or an argument is out of its range.
+        InputError: if n, the field of view or the up direction is invalid.
     """
-    up = np.array([0.0, -1.0, 0.0]) if up is None else np.asarray(up, np.float64)
-    if (
-        n < 1
-        or not 0 < fov_degrees < 180
-        or up.shape != (3,)
-        or not 0 < np.linalg.norm(up) < np.inf
-    ):
+    up = np.asarray(up, np.float64)
+    valid_up = up.shape == (3,) and 0 < np.linalg.norm(up) < np.inf
+    if n < 1 or not 0 < fov_degrees < 180 or not valid_up:
         raise InputError(
             f"orbit of {n} cameras, field of view {fov_degrees} degrees, up {up}: expected at "
             "least one camera, an angle between 0 and 180, and a direction of three numbers"
         )
-    center, radius = _extent(gaussians)
+    (width, height), (center, radius) = size, _extent(gaussians)
     focal = 0.5 * width / np.tan(0.5 * np.radians(fov_degrees))
-    K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]], np.float32)
-    distance = MARGIN * radius / np.sin(np.arctan(0.5 * min(width, height) / focal))
+    distance = DISTANCE_MARGIN * radius / np.sin(np.arctan(0.5 * min(size) / focal))
     up = up / np.linalg.norm(up)
+    eyes = [center + distance * direction for direction in _directions(n, up, seed)]
     return [
         Camera(
-            viewmat=look_at(center + distance * direction, center, up),
-            K=K,
+            viewmat=look_at(eye, center, up),
+            K=intrinsics(focal, width, height),
             width=width,
             height=height,
             name=f"orbit_{index:03d}",
         )
-        for index, direction in enumerate(_directions(n, up, seed))
+        for index, eye in enumerate(eyes)
     ]
 
 
@@ -87,7 +77,7 @@ def opaque_means(gaussians: Gaussians) -> np.ndarray:
 
 
 def _extent(gaussians: Gaussians) -> tuple[np.ndarray, float]:
-    """Centre and radius; a scene without any extent gets three standard deviations."""
+    """Centre and radius of a scene; the radius is at least three standard deviations."""
     means = opaque_means(gaussians)
     center = np.median(means, axis=0)
     radius = np.percentile(np.linalg.norm(means - center, axis=1), RADIUS_PERCENTILE)
@@ -107,7 +97,7 @@ def _directions(n: int, up: np.ndarray, seed: int) -> np.ndarray:
 
 
 def look_at(eye: np.ndarray, target: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """World to camera [4, 4] float32 of a level camera at `eye` that looks at `target`."""
+    """World to camera, (4, 4) float32, of a level camera at `eye` that looks at `target`."""
     forward = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross(forward, up)
     right /= np.linalg.norm(right)
@@ -118,6 +108,6 @@ def look_at(eye: np.ndarray, target: np.ndarray, up: np.ndarray) -> np.ndarray:
 
 
 def mean_up(cameras: Sequence[Camera]) -> np.ndarray:
-    """Up direction of a scene, shape (3,): cameras are mostly held level, with y pointing down."""
+    """Up direction of a scene, shape (3,): the mean over cameras, which are mostly held level."""
     up = -np.mean([np.asarray(camera.viewmat)[1, :3] for camera in cameras], axis=0)
     return up / np.linalg.norm(up)

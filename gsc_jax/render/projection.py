@@ -1,32 +1,33 @@
-"""3D Gaussians to 2D: the EWA projection, culling, and what the rasteriser needs of each splat.
+"""EWA projection of 3D Gaussians to image splats, with culling.
 
 With T = J W R S (Jacobian of the perspective, world to camera, rotation, scales) the image
-covariance is `T T^t + 0.3 I` (Zwicker et al. 2001; Kerbl et al. 2023, eq. 5). Its determinant is
-taken as `|t_0 x t_1|^2 + 0.3 tr + 0.09` (Cauchy-Binet), which stays positive in float32 however
-thin the needle, and divided by c before it can overflow; and the exponent
-`sigma = d^t Sigma^-1 d / 2` is evaluated as a sum of two squares of a whitened offset, so it is
-never negative. `tests/test_projection.py` holds it to a float64 reference.
+covariance is T T^T + 0.3 I (Zwicker et al. 2001; Kerbl et al. 2023, eq. 5). Its determinant is
+computed as |t_0 x t_1|^2 + 0.3 tr + 0.09 (Cauchy-Binet), which stays positive in float32 for the
+thinnest needle, and divided by c before it can overflow. The exponent sigma = d^T Sigma^-1 d / 2
+is a sum of two squares of a whitened offset, hence never negative.
+`tests/render/test_projection.py` compares the projection with a float64 reference.
 """
 
+import dataclasses
 import functools
 
 import jax
 import jax.numpy as jnp
 
 from gsc_jax.scene import Array, Camera, Gaussians, pytree
-from gsc_jax.scene.gaussians import IDENTITY
+from gsc_jax.scene.gaussians import IDENTITY_QUATERNION
 
 NEAR = 0.2
 """Default near plane in world units, that of the INRIA rasteriser."""
 LOW_PASS = 0.3
-"""Variance in square pixels added to every splat."""
+"""Variance in square pixels added to every splat, as in the INRIA rasteriser."""
 MIN_ALPHA = 1.0 / 255.0
-"""Contributions below this are dropped; also the level set that bounds a splat."""
+"""Opacities below this are dropped, as in the INRIA rasteriser; also the outline of a splat."""
 
 
 @pytree
 class Splats:
-    """N projected Gaussians; those that are not `visible` hold finite placeholders.
+    """N projected Gaussians; those that are not `visible` have finite placeholders.
 
     Attributes:
         means: Projected centres in pixels, shape (N, 2).
@@ -35,7 +36,7 @@ class Splats:
         opacities: Activated opacities, shape (N,).
         reach: Twice the exponent at which alpha falls to 1/255, 2 ln(255 o), shape (N,).
         depths: Distance along the optical axis in world units, shape (N,).
-        visible: In front of the near plane, finite, opaque enough and touching the image, (N,).
+        visible: Beyond the near plane, finite, opaque enough and touching the image, shape (N,).
     """
 
     means: Array
@@ -48,39 +49,38 @@ class Splats:
 
 
 def project(gaussians: Gaussians, camera: Camera, *, near: float = NEAR) -> Splats:
-    """Project Gaussians into a view.
+    """Project N Gaussians into a view.
 
     Args:
-        gaussians: N Gaussians; those whose place or shape is not finite are not visible.
-        camera: The view.
-        near: Near plane in world units; what lies closer is not visible.
-
-    Returns:
-        The N splats.
+        gaussians: N Gaussians; those with parameters that are not finite are not visible.
+        camera: Pose, intrinsics and image size.
+        near: Near plane in world units; Gaussians closer than this are not visible.
 
     Raises:
         ValueError: if the near plane is not in front of the camera.
     """
     if not near > 0:
         raise ValueError(f"near must be positive, got {near}")
-    shape = (gaussians.means, gaussians.log_scales, gaussians.quats, gaussians.logit_opacities)
-    return _project(*shape, camera.viewmat, camera.K, near, camera.width, camera.height)
+    columns = gaussians.means, gaussians.log_scales, gaussians.quats, gaussians.logit_opacities
+    # The name is static: without it, every camera would compile the projection again.
+    return _project(columns, dataclasses.replace(camera, name=""), near)
 
 
-@functools.partial(jax.jit, static_argnames=("width", "height"))
-def _project(means, log_scales, quats, logits, viewmat, K, near, width: int, height: int) -> Splats:
+@jax.jit
+def _project(columns: tuple[Array, ...], camera: Camera, near: float) -> Splats:
     def one(mean, log_scale, quat, logit):
-        return _project_one(mean, log_scale, quat, logit, viewmat, K, near, width, height)
+        return _project_one(mean, log_scale, quat, logit, camera, near)
 
-    return jax.vmap(one)(means, log_scales, quats, logits)
+    return jax.vmap(one)(*columns)
 
 
-def _project_one(mean, log_scale, quat, logit, viewmat, K, near, width, height) -> Splats:
-    """One Gaussian, in scalars: vmap turns them into long vectors, which small matrices are not."""
+def _project_one(mean, log_scale, quat, logit, camera: Camera, near) -> Splats:
+    """Project one Gaussian, in scalars: vmap turns them into long vectors, small matrices not."""
+    viewmat, K = camera.viewmat, camera.K
     x, y, depth = (_dot(viewmat[i, :3], mean) + viewmat[i, 3] for i in range(3))
     in_front = depth > near
     z = jnp.where(in_front, depth, 1.0)
-    u, v = _image_axes(x / z, y / z, z, viewmat, K, width, height)
+    u, v = _image_axes(x / z, y / z, z, camera)
     scales = [jnp.exp(log_scale[k]) for k in range(3)]
     axes = _rotation_columns(quat)
     row_x = [_dot(u, axis) * scale for axis, scale in zip(axes, scales, strict=True)]
@@ -95,7 +95,7 @@ def _project_one(mean, log_scale, quat, logit, viewmat, K, near, width, height) 
     reach = 2.0 * jnp.log(opacity / MIN_ALPHA)
     center_x, center_y = x / z * K[0, 0] + K[0, 2], y / z * K[1, 1] + K[1, 2]
     visible = in_front & (reach > 0) & jnp.isfinite(det_over_c) & jnp.isfinite(_largest(quat))
-    for center, variance, size in ((center_x, a, width), (center_y, c, height)):
+    for center, variance, size in ((center_x, a, camera.width), (center_y, c, camera.height)):
         extent = jnp.sqrt(jnp.maximum(reach, 0.0) * variance)
         visible &= jnp.isfinite(extent) & (center + extent > 0) & (center - extent < size)
 
@@ -113,12 +113,13 @@ def _project_one(mean, log_scale, quat, logit, viewmat, K, near, width, height) 
     )
 
 
-def _image_axes(slope_x, slope_y, z, viewmat, K, width, height):
-    """The two rows of J W, with the ray clamped to 1.3 times the field of view.
+def _image_axes(slope_x, slope_y, z, camera: Camera):
+    """Compute the two rows of J W, with the ray clamped to 1.3 times the field of view.
 
-    The clamp is measured from the principal point to each border (as gsplat does); with a centred
-    principal point that is INRIA's 1.3 tan(fov / 2).
+    The clamp is measured from the principal point to each border, as in gsplat; with a centred
+    principal point it is INRIA's 1.3 tan(fov / 2).
     """
+    viewmat, K = camera.viewmat, camera.K
 
     def row(axis, slope, size):
         focal, center = K[axis, axis], K[axis, 2]
@@ -126,18 +127,17 @@ def _image_axes(slope_x, slope_y, z, viewmat, K, width, height):
         clamped = jnp.clip(slope, -center / focal - margin, (size - center) / focal + margin)
         return [focal / z * (viewmat[axis, k] - clamped * viewmat[2, k]) for k in range(3)]
 
-    return row(0, slope_x, width), row(1, slope_y, height)
+    return row(0, slope_x, camera.width), row(1, slope_y, camera.height)
 
 
 def _rotation_columns(quat) -> list[list[jax.Array]]:
-    """Columns of the rotation matrix of a wxyz quaternion of any length but zero."""
-    # Scaling by the largest entry first keeps the norm from over- or underflowing.
+    """Columns of the rotation matrix of a wxyz quaternion of any length; identity for zero."""
+    # Divide by the largest entry first, so that the norm neither overflows nor underflows.
     largest = _largest(quat)
     usable = (largest > 0) & jnp.isfinite(largest)
     divisor = jnp.where(usable, largest, 1.0)
-    w, x, y, z = (
-        jnp.where(usable, quat[i] / divisor, identity) for i, identity in enumerate(IDENTITY)
-    )
+    identity = IDENTITY_QUATERNION
+    w, x, y, z = (jnp.where(usable, quat[i] / divisor, identity[i]) for i in range(4))
     s = 2.0 / _dot([w, x, y, z], [w, x, y, z])
     return [
         [1 - s * (y * y + z * z), s * (x * y + w * z), s * (x * z - w * y)],
@@ -160,12 +160,7 @@ def _cross(p, q):
 
 @jax.jit
 def project_centers(means: Array, viewmat: Array, K: Array) -> tuple[jax.Array, jax.Array]:
-    """Project centres only, without culling: what the vote looks at.
-
-    Args:
-        means: Centres in the world, shape (N, 3).
-        viewmat: World to camera, shape (4, 4).
-        K: Intrinsics in pixels, shape (3, 3).
+    """Project centres (N, 3) by a viewmat (4, 4) and K (3, 3), without culling, for the vote.
 
     Returns:
         Pixel coordinates (N, 2), meaningless where the depth is not positive, and depths (N,).

@@ -1,8 +1,8 @@
-"""Spherical harmonics to colour, in the real basis and sign convention that 3DGS files use.
+"""Colours from spherical harmonics, in the real basis and sign convention of 3DGS files.
 
-A colour is `0.5 + sum_k Y_k(d) h_k`, clamped below at 0, where d is the unit direction from the
-camera to the Gaussian. The constants follow from the orthonormal real harmonics; the Condon-
-Shortley phase is kept, hence the alternating signs (Kerbl et al. 2023; Sloan 2013).
+A colour is 0.5 + sum_k Y_k(d) h_k, clamped below at 0, where d is the unit direction from the
+camera to the Gaussian. The harmonics are orthonormal and include the Condon-Shortley phase, hence
+the alternating signs (Kerbl et al. 2023; Sloan 2013).
 """
 
 import jax
@@ -16,14 +16,7 @@ Y0 = 0.28209479177387814
 
 
 def basis(directions: jax.Array, degree: int) -> jax.Array:
-    """Real spherical harmonics up to a degree.
-
-    Args:
-        directions: Unit vectors, shape (N, 3).
-        degree: Highest degree, 0 to 3.
-
-    Returns:
-        Values of the (degree + 1)^2 harmonics, shape (N, K).
+    """Evaluate the K = (degree + 1)^2 real harmonics at unit vectors (N, 3), shape (N, K).
 
     Raises:
         ValueError: if the degree is not 0 to 3.
@@ -57,7 +50,7 @@ def basis(directions: jax.Array, degree: int) -> jax.Array:
 
 @jax.jit
 def colors(sh: jax.Array, means: jax.Array, center: jax.Array) -> jax.Array:
-    """Colours of the Gaussians as seen from a point.
+    """Compute the colours of Gaussians as seen from a point.
 
     Args:
         sh: Coefficients, shape (N, K, 3) with K = 1, 4, 9 or 16.
@@ -65,41 +58,33 @@ def colors(sh: jax.Array, means: jax.Array, center: jax.Array) -> jax.Array:
         center: Position of the camera in the world, shape (3,).
 
     Returns:
-        RGB, shape (N, 3), not negative; may exceed 1; 0 where it would not be finite.
+        RGB, shape (N, 3), not negative, may exceed 1; 0 where not finite.
     """
     degree = round(sh.shape[1] ** 0.5) - 1
     towards = means - center[None]
     distance = jnp.linalg.norm(towards, axis=-1, keepdims=True)
     directions = towards / jnp.where(distance > 0, distance, 1.0)
-    rgb = jnp.maximum(
-        0.5 + jnp.einsum("nk,nkc->nc", basis(directions, degree), sh, precision="highest"), 0.0
-    )
+    values = jnp.einsum("nk,nkc->nc", basis(directions, degree), sh, precision="highest")
+    rgb = jnp.maximum(0.5 + values, 0.0)
     return jnp.where(jnp.isfinite(rgb), rgb, 0.0)
 
 
 def rotate(sh: Array, rotation: Array) -> jax.Array:
-    """The harmonics of Gaussians that are turned: what was seen along d is seen along R d.
+    """Rotate coefficients (N, K, 3) by a matrix R (3, 3): the colour along d moves to R d.
 
-    A turn mixes the harmonics of a band among themselves only, so the mixing matrix follows
-    exactly from the values of the basis in enough directions.
-
-    Args:
-        sh: Coefficients, shape (N, K, 3) with K = 1, 4, 9 or 16.
-        rotation: Rotation matrix R from the old to the new pose, shape (3, 3).
-
-    Returns:
-        Coefficients of the same shape, float32.
+    A rotation mixes only harmonics of the same band, so a least-squares fit to the values of the
+    basis in sufficiently many directions gives the mixing matrix exactly.
     """
     degree = round(sh.shape[1] ** 0.5) - 1
-    directions = _spread_directions(64)
-    before = basis(jnp.asarray(directions @ np.asarray(rotation), jnp.float32), degree)
-    after = basis(jnp.asarray(directions, jnp.float32), degree)
-    mixing = np.linalg.lstsq(np.asarray(after, np.float64), np.asarray(before, np.float64))[0]
-    turned = np.einsum("kl,nlc->nkc", mixing, np.asarray(sh, np.float64))
-    return jnp.asarray(turned, jnp.float32)
+    directions = _sphere_points(64)
+    old = basis(jnp.asarray(directions @ np.asarray(rotation), jnp.float32), degree)
+    new = basis(jnp.asarray(directions, jnp.float32), degree)
+    mixing = np.linalg.lstsq(np.asarray(new, np.float64), np.asarray(old, np.float64))[0]
+    rotated = np.einsum("kl,nlc->nkc", mixing, np.asarray(sh, np.float64))
+    return jnp.asarray(rotated, jnp.float32)
 
 
-def _spread_directions(count: int) -> np.ndarray:
+def _sphere_points(count: int) -> np.ndarray:
     """Unit vectors evenly over the sphere, on a golden spiral, shape (count, 3)."""
     height = 1 - (2 * np.arange(count) + 1) / count
     turn = np.pi * (3 - np.sqrt(5)) * np.arange(count)

@@ -1,15 +1,14 @@
-"""Which splats touch which tile, front to back: a scene as a camera sees it, a `View`.
+"""Tile lists: the splats that touch each tile, front to back; together with them, a `View`.
 
-Its size depends on the data, so it is made in NumPy on the host. A splat reaches where
-alpha >= 1/255, which is an ellipse, and a tile is the rectangle spanned by its pixel centres. Both
-are convex, so it is exact to cut the ellipse with the strip of each row of tiles and to take the
-columns that the cut covers: no candidate is made and rejected. Splats are sorted by depth once, by
-keys of 64 bits, which NumPy 2 sorts with vector instructions; their tiles are not sorted but
-counted: the lists are the transpose of a sparse matrix of splats and tiles.
+The sizes depend on the data, so the lists are built in NumPy on the host. A splat covers the
+ellipse alpha >= 1/255, a tile the rectangle spanned by its pixel centres. Both are convex, so the
+lists are exact: each ellipse is intersected with the strip of each row of tiles, and the columns
+that the intersection covers are listed. Splats are sorted by depth once, with 64-bit keys, which
+NumPy 2 sorts with vector instructions. Sorting by tile is a counting sort: the lists are the
+transpose of a sparse matrix of splats and tiles.
 """
 
 import dataclasses
-import functools
 import math
 from typing import NamedTuple
 
@@ -19,36 +18,34 @@ import numpy as np
 
 from gsc_jax.render.projection import NEAR, Splats, project
 from gsc_jax.scene import Array, Camera, Gaussians, InputError
+from gsc_jax.scene.pytree import STATIC
 
 TILE = 8
 """Side of a tile in pixels."""
+MAX_INTERSECTIONS = 2**28
+"""Intersections of splats and tiles in a view: more would fill the memory, and real scenes have a
+few per splat."""
 CPU_LOCKSTEP = 128
-"""Tiles that walk together on a CPU: their weights for a chunk then fit into the L2 cache."""
-MOST = 2**28
-"""Intersections in a view: more would fill the memory. Real scenes have a few per splat."""
+"""Tiles in a group on a CPU: their weights for a chunk of splats then fit into the L2 cache."""
 MIN_LOCKSTEP, MIN_GROUPS = 16, 8
-"""But not all tiles of a small view at once: a group walks until its longest list ends."""
+"""Small views have smaller groups, because a group is only done when its longest list ends."""
 
 
-@functools.partial(
-    jax.tree_util.register_dataclass,
-    data_fields=["splats", "ids", "tiles", "starts", "counts"],
-    meta_fields=["width", "height", "lockstep"],
-)
+@jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class View:
-    """A scene seen by a camera: all that is needed to apply W or its adjoint.
+    """A scene projected and binned for a camera: all that W and its adjoint need.
 
     Attributes:
-        splats: Mean, whitening and log opacity of each Gaussian, and a transparent row that pads
-            the lists, shape (N + 1, 6).
-        ids: The lists of all tiles one after the other, padded to a bucket size.
+        splats: Mean, whitening and log opacity of each Gaussian, and a transparent last row that
+            pads the lists, shape (N + 1, 6).
+        ids: The lists of all tiles, concatenated and padded to a bucket size.
         tiles: Tiles, longest list first, padded to a multiple of `lockstep`.
-        starts: Where the list of each of these begins in `ids`.
-        counts: How long it is.
+        starts: Start of the list of each of these tiles in `ids`.
+        counts: Length of the list of each of these tiles.
         width: Image width in pixels.
         height: Image height in pixels.
-        lockstep: How many tiles walk together.
+        lockstep: Number of tiles in a group, which are walked together.
     """
 
     splats: Array
@@ -56,9 +53,9 @@ class View:
     tiles: Array
     starts: Array
     counts: Array
-    width: int
-    height: int
-    lockstep: int
+    width: int = dataclasses.field(metadata=STATIC)
+    height: int = dataclasses.field(metadata=STATIC)
+    lockstep: int = dataclasses.field(metadata=STATIC)
 
     @property
     def grid(self) -> tuple[int, int]:
@@ -73,28 +70,28 @@ def make_view(
 
     Args:
         gaussians: N Gaussians, not traced: the length of the lists depends on the data.
-        camera: The view.
+        camera: Pose, intrinsics and image size.
         near: Near plane in world units.
-        lockstep: Tiles that walk together; all on an accelerator, on a CPU at most 128, and fewer
-            in small views.
+        lockstep: Tiles in a group; default all on an accelerator, at most 128 on a CPU.
 
     Returns:
         The view. Its arrays have one of a few sizes, so that another camera seldom recompiles.
 
     Raises:
-        InputError: if the splats touch more than 2^28 tiles in all.
+        InputError: if there are more than 2^28 intersections of splats and tiles.
     """
     return bin_view(project(gaussians, camera, near=near), camera, lockstep=lockstep)
 
 
 def bin_view(splats: Splats, camera: Camera, *, lockstep: int | None = None) -> View:
-    """Bin projected Gaussians: the second half of `make_view`, with the same arguments."""
-    table = _table(splats)  # computed while NumPy bins
+    """Bin projected Gaussians: the second half of `make_view`."""
+    table = _table(splats)  # asynchronous: JAX computes it while NumPy bins
     lists = bin_splats(splats, camera.width, camera.height)
+    tiles = len(lists.counts)
     if lockstep is None:
-        cpu = int(np.clip(len(lists.counts) // MIN_GROUPS, MIN_LOCKSTEP, CPU_LOCKSTEP))
-        lockstep = cpu if jax.default_backend() == "cpu" else len(lists.counts)
-    lockstep = min(lockstep, len(lists.counts))
+        cpu = int(np.clip(tiles // MIN_GROUPS, MIN_LOCKSTEP, CPU_LOCKSTEP))
+        lockstep = cpu if jax.default_backend() == "cpu" else tiles
+    lockstep = min(lockstep, tiles)
     return View(
         splats=table,
         ids=jnp.asarray(_padded(lists.ids)),
@@ -105,28 +102,21 @@ def bin_view(splats: Splats, camera: Camera, *, lockstep: int | None = None) -> 
     )
 
 
-def restricted(view: View, wanted: np.ndarray) -> View:
-    """The view without the tiles that no wanted splat touches.
+def restricted(view: View, rows: np.ndarray) -> View:
+    """Empty the lists of all tiles that none of these splats, boolean (N,), touches.
 
-    What is blended there stays 0; where a feature of all other splats is 0, so it is anyway.
-
-    Args:
-        view: The scene as a camera sees it, of N Gaussians.
-        wanted: Boolean, shape (N,).
-
-    Returns:
-        A view of the same size, most of whose tiles may have nothing to do.
+    Features that are 0 for all other splats composite to the same image, in less time.
     """
     order = np.argsort(np.asarray(view.tiles), kind="stable")[: math.prod(view.grid)]
     starts, counts = (np.asarray(x)[order] for x in (view.starts, view.counts))
     listed = np.asarray(view.ids)[: np.max(starts + counts)]
-    touched = np.cumsum(np.append(False, np.asarray(wanted).take(listed)), dtype=np.int32)
+    touched = np.cumsum(np.append(False, np.asarray(rows).take(listed)), dtype=np.int32)
     counts = np.where(touched[starts + counts] > touched[starts], counts, 0)
     return dataclasses.replace(view, **_longest_first(starts, counts, view.lockstep))
 
 
 def _longest_first(starts: np.ndarray, counts: np.ndarray, lockstep: int) -> dict[str, jax.Array]:
-    """Tiles, starts and counts of a view, from those in the order of the tiles."""
+    """Fields tiles, starts and counts of a view, from the lists in row-major order of the tiles."""
     padding = (0, -len(counts) % lockstep)
     order = np.argsort(-counts, kind="stable").astype(np.int32)
     return {
@@ -137,7 +127,7 @@ def _longest_first(starts: np.ndarray, counts: np.ndarray, lockstep: int) -> dic
 
 
 def _padded(ids: np.ndarray) -> np.ndarray:
-    """Pad to a power of four: the padding is never read, and sizes seldom differ between views."""
+    """Pad to a power of four, so that the sizes of two views seldom differ."""
     size = 1 << 12
     while size < len(ids):
         size *= 4
@@ -151,14 +141,11 @@ def _table(splats: Splats) -> jax.Array:
     return padded.at[-1, -1].set(-jnp.inf)
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class TileLists:
-    """For every tile the splats that touch it, front to back; ties in depth by index.
+class TileLists(NamedTuple):
+    """Splats of each tile, front to back, with ties in depth by index; all int32.
 
-    Attributes:
-        ids: Splat of each of the M intersections, tile by tile, shape (M,) int32.
-        starts: First intersection of each tile, shape (tiles,) int32.
-        counts: Number of intersections of each tile, shape (tiles,) int32.
+    `ids` are the splats of the M intersections, tile by tile, shape (M,); `starts` and `counts`
+    are the first intersection and the number of intersections of each tile, shapes (tiles,).
     """
 
     ids: np.ndarray
@@ -167,21 +154,13 @@ class TileLists:
 
 
 def bin_splats(splats: Splats, width: int, height: int) -> TileLists:
-    """List the splats of every tile in depth order.
-
-    Args:
-        splats: N projected Gaussians.
-        width: Image width in pixels.
-        height: Image height in pixels.
-
-    Returns:
-        The lists of the ceil(width / 8) * ceil(height / 8) tiles, row by row.
+    """List the splats of each tile of an image, in depth order, tiles in row-major order.
 
     Raises:
         InputError: if there are more than 2^28 intersections.
     """
     columns, rows = -(-width // TILE), -(-height // TILE)
-    ellipses = _ellipses(splats)  # computed while NumPy sorts
+    ellipses = _ellipses(splats)  # asynchronous: JAX computes them while NumPy sorts
     order = _front_to_back(np.asarray(splats.depths), np.asarray(splats.visible))
     ellipses = jax.tree.map(lambda column: np.asarray(column).take(order), ellipses)
     first, heights = _tile_range(ellipses.y - ellipses.bottom, ellipses.y + ellipses.bottom, rows)
@@ -189,7 +168,7 @@ def bin_splats(splats: Splats, width: int, height: int) -> TileLists:
     left, right = _cut(jax.tree.map(lambda column: column.take(owner), ellipses), row)
     first, widths = _tile_range(left, right, columns)
     covered = _expanded(row * columns + first, widths)
-    ends = _ends(widths).take(_ends(heights))  # of all the rows that a splat is cut into
+    ends = _ends(widths).take(_ends(heights))  # of the tiles of each splat, over all of its rows
     places, bounds = _by_tile(covered, ends, rows * columns)
     return TileLists(ids=order.take(places), starts=bounds[:-1], counts=np.diff(bounds))
 
@@ -203,27 +182,24 @@ def _front_to_back(depths: np.ndarray, visible: np.ndarray) -> np.ndarray:
 
 
 def _ends(lengths: np.ndarray) -> np.ndarray:
-    """Where each range begins when they lie one after the other, and where the last ends."""
+    """Boundaries of consecutive ranges of these lengths, starting at 0."""
     total = int(lengths.sum(dtype=np.int64))
-    if total > MOST:
+    if total > MAX_INTERSECTIONS:
         raise InputError(
-            f"The splats of one view touch {total:,} tiles in all, more than the {MOST:,} that are "
-            "listed; are the scales right? If so, ask for smaller images."
+            f"The splats of one view touch {total:,} tiles in total, at most {MAX_INTERSECTIONS:,} "
+            "are supported; are the scales right? If so, use smaller images."
         )
     return np.append(np.int32(0), np.cumsum(lengths, dtype=np.int32))
 
 
 def _expanded(first: np.ndarray, lengths: np.ndarray) -> np.ndarray:
-    """The numbers first, first + 1, ... of every range, one range after the other."""
+    """Concatenate the ranges first, first + 1, ... of these lengths."""
     ends = _ends(lengths)
     return np.repeat(first - ends[:-1], lengths) + np.arange(ends[-1], dtype=np.int32)
 
 
 def _by_tile(covered: np.ndarray, ends: np.ndarray, tiles: int) -> tuple[np.ndarray, np.ndarray]:
-    """The places in the order of depth of the splats that cover each tile, and where they begin.
-
-    A splat is a row of a sparse matrix: its transposition counts, and goes through the rows once.
-    """
+    """Transpose the sparse matrix of splats (in depth order) and the tiles that they cover."""
     from scipy.sparse import csr_array
 
     ones = np.ones(len(covered), np.int8)
@@ -232,9 +208,9 @@ def _by_tile(covered: np.ndarray, ends: np.ndarray, tiles: int) -> tuple[np.ndar
 
 
 class Ellipses(NamedTuple):
-    """Where alpha = 1/255, as x = x_0 + slope dy +- sqrt(width - taper dy^2), a column each.
+    """Outlines alpha = 1/255, x = x_0 + slope dy +- sqrt(width - taper dy^2), one array per term.
 
-    It spans y_0 +- bottom, and is rightmost at dy = summit.
+    An outline spans y_0 +- bottom, and is rightmost at dy = summit.
     """
 
     x: Array
@@ -248,9 +224,9 @@ class Ellipses(NamedTuple):
 
 @jax.jit
 def _ellipses(splats: Splats) -> Ellipses:
-    """The ellipses of all splats: with det / c from the whitening, as a c - b^2 would cancel.
+    """Outlines of all splats; invisible ones have parameters of 1, which no division makes NaN.
 
-    Those that are not visible get ones, of which no division makes NaN.
+    The determinant over c comes from the whitening, because a c - b^2 would cancel.
     """
     (x, y), (a, b, c), (steep, _, _), reach = (
         jnp.where(splats.visible, leaf.T, 1.0)
@@ -269,17 +245,17 @@ def _ellipses(splats: Splats) -> Ellipses:
 
 
 def _tile_range(low: np.ndarray, high: np.ndarray, tiles: int) -> tuple[np.ndarray, np.ndarray]:
-    """First tile whose pixel centres [8 t + 0.5, 8 t + 7.5] meet [low, high], and how many do."""
+    """First tile t whose pixel centres [8t + 0.5, 8t + 7.5] meet [low, high], and their number."""
     first = np.clip(np.ceil((low - (TILE - 0.5)) / TILE), 0, tiles).astype(np.int32)
     last = np.clip(np.floor((high - 0.5) / TILE), -1, tiles - 1).astype(np.int32)
     return first, np.maximum(last - first + 1, 0)
 
 
 def _cut(ellipses: Ellipses, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Leftmost and rightmost x of each ellipse inside the strip of pixel centres of a tile row.
+    """Leftmost and rightmost x of each ellipse within the pixel centres of a row of tiles.
 
-    The right end is concave in dy with its summit where the ellipse is rightmost, and the left end
-    mirrors it, so clamping the summit to the strip finds both.
+    The right end is concave in dy with its maximum at the summit, and the left end mirrors it;
+    clamping the summit to the strip gives both.
     """
     x, y, bottom, summit, slope, width, taper = ellipses
     top = row.astype(np.float32) * TILE + np.float32(0.5) - y
@@ -289,7 +265,4 @@ def _cut(ellipses: Ellipses, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return np.sqrt(np.maximum(width - taper * dy * dy, 0))
 
     right, left = np.clip(summit, low, high), np.clip(-summit, low, high)
-    return (
-        x + slope * left - half_width(left),
-        x + slope * right + half_width(right),
-    )
+    return x + slope * left - half_width(left), x + slope * right + half_width(right)

@@ -1,4 +1,8 @@
-"""Whether cameras see a scene at all."""
+"""Check that cameras see a scene, by projecting the centres of its opaque Gaussians.
+
+The most common cause of empty images is a scene that does not belong to the cameras, because an
+exporter has normalised it or because the poses follow another convention.
+"""
 
 from collections.abc import Sequence
 
@@ -6,22 +10,24 @@ import numpy as np
 
 from gsc_jax.render.orbit import opaque_means
 from gsc_jax.render.projection import NEAR
-from gsc_jax.scene import Gaussians, InputError
-from gsc_jax.scene.camera import Camera
+from gsc_jax.scene import Camera, Gaussians, InputError
 
-SAMPLE = 20_000
+MAX_POINTS = 20_000
+"""Number of sampled centres: a share of 1 % has a standard error below 0.1 %."""
 MIN_SHARE, LOW_SHARE = 0.01, 0.1
-"""Shares of the Gaussians that cameras must see together, and should see."""
+"""Shares of the Gaussians, seen by all cameras together, below which the check fails or warns; the
+cameras of a real capture see most of its scene."""
 
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
-READINGS = {
+CONVENTIONS = {
     "with OpenGL axes (y up, z backward)": lambda viewmat: FLIP @ viewmat,
     "as world-to-camera": np.linalg.inv,
     "as world-to-camera with OpenGL axes": lambda viewmat: FLIP @ np.linalg.inv(viewmat),
 }
-"""What a pose may be instead of camera-to-world with OpenCV axes: how its viewmat is mended."""
+"""Conventions of poses other than camera-to-world with OpenCV axes, and how to convert a viewmat
+that was read with the wrong one."""
 
-NO_READING = (
+NO_CONVENTION = (
     "; do they belong together? The exporter may have normalised the scene, or the poses may be "
     "world-to-camera or have OpenGL axes"
 )
@@ -30,25 +36,22 @@ NO_READING = (
 def check_views(
     gaussians: Gaussians, cameras: Sequence[Camera], *, near: float = NEAR
 ) -> list[str]:
-    """Tells whether cameras see a scene, from the share of Gaussians inside any frustum.
-
-    Large scenes are sampled evenly, so this takes well under a second.
+    """Check the share of Gaussians inside the frustum of at least one camera.
 
     Args:
-        gaussians: The scene.
-        cameras: Cameras that are said to be of it.
-        near: Depth below which nothing is rendered, in world units.
+        gaussians: The scene; large scenes are sampled.
+        cameras: Cameras of the scene.
+        near: Near plane in world units.
 
     Returns:
         Warnings, one line each: cameras that see nothing, a low share, a near plane that cuts
-        most away. Empty if all is well.
+        most away. Empty if there are no problems.
 
     Raises:
-        InputError: if there are no cameras, if together they see next to nothing, or if the near
-            plane cuts away next to everything.
+        InputError: if there are no cameras or no Gaussians, or if the share is below 1 %.
     """
     if not cameras:
-        raise InputError("no cameras to look at the scene with; give at least one")
+        raise InputError("no cameras for the scene; give at least one")
     if not len(gaussians):
         raise InputError("the scene has no Gaussians")
     points = _sample(opaque_means(gaussians))
@@ -57,7 +60,7 @@ def check_views(
     seen = depths > near
     share, share_ahead = seen.any(axis=0).mean(), (depths > 0).any(axis=0).mean()
     if share_ahead < MIN_SHARE:
-        advice = _reading(points, viewmats, cameras) or NO_READING
+        advice = _better_convention(points, viewmats, cameras) or NO_CONVENTION
         raise InputError(f"the cameras see {share_ahead:.2%} of the Gaussians{advice}")
     if share < MIN_SHARE:
         raise InputError(_near_message(depths, near))
@@ -68,14 +71,14 @@ def check_views(
         warnings.append(f"the cameras together see only {share:.1%} of the Gaussians")
     blind = [camera.name for camera, row in zip(cameras, depths, strict=True) if not row.any()]
     if blind:
-        named = ", ".join(blind[:5]) + (", ..." if len(blind) > 5 else "")
-        advice = _reading(points, viewmats, cameras)
-        warnings.append(f"{len(blind)} of {len(cameras)} cameras see nothing: {named}{advice}")
+        names = ", ".join(blind[:5]) + (", ..." if len(blind) > 5 else "")
+        advice = _better_convention(points, viewmats, cameras)
+        warnings.append(f"{len(blind)} of {len(cameras)} cameras see nothing: {names}{advice}")
     return warnings
 
 
 def _sample(points: np.ndarray) -> np.ndarray:
-    count = min(len(points), SAMPLE)
+    count = min(len(points), MAX_POINTS)
     return points[np.linspace(0, len(points) - 1, count).astype(np.int64)]
 
 
@@ -92,13 +95,15 @@ def _depths(
     return depths
 
 
-def _reading(points: np.ndarray, viewmats: Sequence[np.ndarray], cameras: Sequence[Camera]) -> str:
-    """The reading of the poses with which the typical camera sees much more; empty if none is."""
-    current = _typical_share(_depths(points, viewmats, cameras))
-    shares = {}
-    for reading, mend in READINGS.items():
-        mended = [mend(viewmat) for viewmat in viewmats]
-        shares[reading] = _typical_share(_depths(points, mended, cameras))
+def _better_convention(
+    points: np.ndarray, viewmats: Sequence[np.ndarray], cameras: Sequence[Camera]
+) -> str:
+    """Advice to read the poses in another convention, if the median camera then sees far more."""
+    current = _median_share(_depths(points, viewmats, cameras))
+    shares = {
+        convention: _median_share(_depths(points, [*map(convert, viewmats)], cameras))
+        for convention, convert in CONVENTIONS.items()
+    }
     best = max(shares, key=shares.__getitem__)
     if shares[best] <= max(LOW_SHARE, 3 * current):
         return ""
@@ -108,8 +113,13 @@ def _reading(points: np.ndarray, viewmats: Sequence[np.ndarray], cameras: Sequen
     )
 
 
+def _median_share(depths: np.ndarray) -> float:
+    # The median, because a few cameras see the scene by chance in any wrong convention.
+    return float(np.median(np.mean(depths > 0, axis=1)))
+
+
 def _scale_warnings(gaussians: Gaussians, points: np.ndarray) -> list[str]:
-    """Scales that were stored as they are, not as logarithms, make every Gaussian huge."""
+    """Warn if the scales look as if they were stored linearly: every Gaussian is then huge."""
     log_scales = np.asarray(gaussians.log_scales)
     extent = np.ptp(np.percentile(points, [10, 90], axis=0), axis=0).max()
     if np.mean(log_scales >= 0) < 0.99 or np.exp(np.median(log_scales)) < 0.05 * extent:
@@ -120,16 +130,10 @@ def _scale_warnings(gaussians: Gaussians, points: np.ndarray) -> list[str]:
     ]
 
 
-def _typical_share(depths: np.ndarray) -> float:
-    # The median, because with any wrong reading some camera looks at the scene by chance.
-    return float(np.median(np.mean(depths > 0, axis=1)))
-
-
 def _near_message(depths: np.ndarray, near: float) -> str:
     ahead = depths[depths > 0]
-    cut = np.mean(ahead <= near)
-    fitting = 0.5 * np.percentile(ahead, 1)
+    cut, fitting = np.mean(ahead <= near), 0.5 * np.percentile(ahead, 1)
     return (
-        f"the near plane at {near:g} cuts away {cut:.0%} of what the cameras look at; the scene is "
-        f"small for it: near={fitting:.1g} (--near) would fit, or scale scene and cameras up"
+        f"the near plane at {near:g} cuts away {cut:.0%} of the Gaussians in front of the cameras; "
+        f"the scene is small: use near={fitting:.1g} (--near), or scale scene and cameras up"
     )

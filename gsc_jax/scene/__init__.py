@@ -1,4 +1,4 @@
-"""The ground floor: Gaussians, cameras, and what every other package needs."""
+"""Gaussians, cameras, and the types and helpers that every other package needs."""
 
 from gsc_jax.scene.camera import Camera
 from gsc_jax.scene.errors import InputError

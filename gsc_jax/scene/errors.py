@@ -1,9 +1,9 @@
-"""The error for input that somebody can mend."""
+"""The error for bad input."""
 
 
 class InputError(ValueError):
-    """Bad input: names the file, what was expected and found, and what to do about it.
+    """Bad input; the message names the file, what was expected and found, and what to do.
 
-    Readers, detectors and option checks raise it with a one-line message for people; the command
-    line prints that line and exits with code 2.
+    Readers, detectors and option checks raise it with a one-line message; the command line prints
+    that line and exits with code 2.
     """

@@ -1,9 +1,7 @@
-"""Scenes and cameras: immutable pytrees, the activations, and which rows can be rendered.
+"""Gaussians as an immutable pytree, their activated parameters, and the rows that are unusable.
 
-Parameters are named by their space. What a .ply stores is `log_scales`, `logit_opacities` and
-quaternions of any length; what the equations use is `scales`, `opacities` and unit quaternions,
-which are properties here. World to camera is `viewmat`, with OpenCV axes (x right, y down, z
-forward); `K` is in pixels and the centre of the first pixel is (0.5, 0.5).
+Parameters are named by their space: a .ply file stores `log_scales`, `logit_opacities` and
+quaternions of any length; the equations use the properties `scales`, `opacities` and `rotations`.
 """
 
 import jax
@@ -17,7 +15,9 @@ Array = jax.Array | np.ndarray
 MAX_LOG_SCALE = 40.0
 """Log scales above this overflow float32 once squared and projected."""
 MAX_MAGNITUDE = 1e9
-"""Positions and colours beyond this are damage, and their squares would overflow float32."""
+"""Positions and colours beyond this are damaged, far outside any scene; their squares are still
+below the largest float32, 3e38."""
+IDENTITY_QUATERNION = np.array([1, 0, 0, 0], np.float32)
 
 
 @pytree
@@ -39,7 +39,7 @@ class Gaussians:
     sh: Array
 
     def __len__(self) -> int:
-        """The number of Gaussians."""
+        """Number of Gaussians."""
         return self.means.shape[0]
 
     @property
@@ -56,10 +56,11 @@ class Gaussians:
     def rotations(self) -> jax.Array:
         """Unit quaternions wxyz, shape (N, 4); the identity where the stored one is zero."""
         quats = jnp.asarray(self.quats)
-        # Scaling by the largest entry first keeps the norm from over- or underflowing.
+        # Divide by the largest entry first, so that the norm neither overflows nor underflows.
         largest = jnp.max(jnp.abs(quats), axis=-1, keepdims=True)
         usable = (largest > 0) & jnp.isfinite(largest)
-        quats = jnp.where(usable, quats / jnp.where(usable, largest, 1.0), IDENTITY[None])
+        scaled = quats / jnp.where(usable, largest, 1.0)
+        quats = jnp.where(usable, scaled, IDENTITY_QUATERNION[None])
         return quats / jnp.linalg.norm(quats, axis=-1, keepdims=True)
 
     @property
@@ -68,25 +69,18 @@ class Gaussians:
         return round(self.sh.shape[1] ** 0.5) - 1
 
     def take(self, rows: Array) -> "Gaussians":
-        """The Gaussians of these rows (indices or a boolean mask), in that order."""
+        """Select rows by indices or by a boolean mask."""
         return jax.tree.map(lambda leaf: leaf[rows], self)
 
 
-IDENTITY = np.array([1, 0, 0, 0], np.float32)
-
-
 def invalid_rows(gaussians: Gaussians) -> dict[str, np.ndarray]:
-    """Which Gaussians cannot be rendered, by reason.
-
-    Args:
-        gaussians: N Gaussians as stored.
+    """Find the Gaussians that cannot be rendered.
 
     Returns:
         Boolean arrays of shape (N,) by reason; a row may have several. An opacity of plus infinity
-        is legal (fully opaque), and one of minus infinity is merely invisible.
+        is valid (fully opaque), and one of minus infinity is merely invisible.
     """
     host = jax.tree.map(np.asarray, gaussians)
-    finite_sh = np.isfinite(host.sh).all(axis=(1, 2))
     quats = np.isfinite(host.quats).all(axis=1)
     return {
         "position not finite": ~np.isfinite(host.means).all(axis=1),
@@ -95,19 +89,19 @@ def invalid_rows(gaussians: Gaussians) -> dict[str, np.ndarray]:
         "rotation not finite": ~quats,
         "rotation zero": quats & ~host.quats.any(axis=1),
         "opacity not a number": np.isnan(host.logit_opacities),
-        "colour not finite": ~finite_sh,
+        "colour not finite": ~np.isfinite(host.sh).all(axis=(1, 2)),
         "position or colour out of all bounds": (np.abs(host.means) > MAX_MAGNITUDE).any(axis=1)
         | (np.abs(host.sh) > MAX_MAGNITUDE).any(axis=(1, 2)),
     }
 
 
 def usable_rows(gaussians: Gaussians) -> np.ndarray:
-    """Mask of the Gaussians that can be rendered, shape (N,) bool; see `invalid_rows`."""
+    """Mask of the Gaussians with no reason in `invalid_rows`, shape (N,) bool."""
     return ~np.any(list(invalid_rows(gaussians).values()), axis=0)
 
 
 def rotation_matrices(gaussians: Gaussians) -> np.ndarray:
-    """Rotation matrices of N Gaussians, whose columns are their axes, shape (N, 3, 3) float32."""
+    """Rotation matrices, whose columns are the axes of the Gaussians, shape (N, 3, 3) float32."""
     w, x, y, z = np.asarray(gaussians.rotations).T
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),

@@ -1,8 +1,4 @@
-"""Around a Gaussian: its nearest neighbours and theirs; and the compact parts of a scene.
-
-Statistics over a neighbourhood are products with a sparse matrix that has 1 / k where somebody is
-a neighbour, so that means over the neighbours' neighbours are that product twice.
-"""
+"""Nearest neighbours of points, statistics over them, and compact parts of a point set."""
 
 import dataclasses
 from typing import Any
@@ -12,14 +8,34 @@ import numpy as np
 from gsc_jax.scene.parallel import WORKERS
 
 
+def nearest_neighbours(points: np.ndarray, rows: np.ndarray, count: int) -> np.ndarray:
+    """Find the nearest other points of some of the points.
+
+    Args:
+        points: Finite, shape (N, 3).
+        rows: Indices of the points whose neighbours to find, shape (M,).
+        count: Number of neighbours, less than N.
+
+    Returns:
+        Indices into `points`, nearest first, shape (M, count).
+    """
+    indices = _query(points, points[rows], count + 1)[1]
+    # A point is its own nearest neighbour. More than `count` points at the same place can crowd it
+    # out of the list: the last one is dropped instead.
+    others = indices != rows[:, None]
+    others[others.all(axis=1), -1] = False
+    return indices[others].reshape(len(rows), count)
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Neighbourhoods:
-    """Who is near whom, of N points.
+    """The k nearest neighbours of each of N points.
 
     Attributes:
-        nearest: Indices of the k nearest others, nearest first, shape (N, k).
-        distances: How far they are, shape (N, k) float32.
-        mean: Sparse matrix (N, N) that takes values to their means over the k nearest.
+        nearest: Indices of the k nearest other points, nearest first, shape (N, k) int32.
+        distances: Distances to them, shape (N, k) float32.
+        mean: Sparse matrix (N, N) that maps values to their means over the neighbours; apply it
+            twice to average over the neighbours' neighbours.
     """
 
     nearest: np.ndarray
@@ -27,73 +43,46 @@ class Neighbourhoods:
     mean: Any
 
     def spread(self, values: np.ndarray, means: np.ndarray) -> np.ndarray:
-        """Standard deviation over the k nearest, of values with these means, shape (N, D)."""
+        """Standard deviation over the neighbours of values with these means, shape (N, D)."""
         return np.sqrt(np.maximum(self.mean @ (values * values) - means * means, 0.0))
 
 
 def neighbourhoods(points: np.ndarray, k: int) -> Neighbourhoods:
-    """The k nearest others of every point.
-
-    Args:
-        points: Finite, shape (N, 3) with N > k.
-        k: How many.
-
-    Returns:
-        The neighbourhoods.
-    """
+    """Find the k nearest neighbours of finite points, shape (N, 3) with N > k."""
     from scipy.sparse import csr_array
-    from scipy.spatial import KDTree
 
-    tree = KDTree(points, compact_nodes=False, balanced_tree=False)
-    distances, nearest = tree.query(points, k=k + 1, workers=WORKERS)
-    # The first is the point itself, or one that lies on it, which is as good.
-    distances = distances[:, 1:].astype(np.float32)
-    nearest = np.asarray(nearest)[:, 1:].astype(np.int32)
+    distances, nearest = _query(points, points, k + 1)
+    # The first is the point itself, or another one at the same place: the distances are the same.
+    distances, nearest = distances[:, 1:].astype(np.float32), nearest[:, 1:].astype(np.int32)
     ends = np.arange(0, nearest.size + 1, k, dtype=np.int32)
     weights = np.full(nearest.size, 1 / k, np.float32)
     mean = csr_array((weights, nearest.ravel(), ends), shape=(len(points), len(points)))
     return Neighbourhoods(nearest=nearest, distances=distances, mean=mean)
 
 
-def parts(points: np.ndarray, size: int) -> list[np.ndarray]:
-    """Divide points into compact parts, halving them again and again across their longest side.
+def _query(points: np.ndarray, places: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Distances and indices of the `count` points nearest to each place."""
+    from scipy.spatial import KDTree
 
-    Args:
-        points: Shape (N, 3).
-        size: Points in a part, at most.
+    tree = KDTree(points, compact_nodes=False, balanced_tree=False)
+    distances, indices = tree.query(places, k=count, workers=WORKERS)
+    return distances, np.asarray(indices)
+
+
+def parts(points: np.ndarray, size: int) -> list[np.ndarray]:
+    """Split points (N, 3) into compact parts of at most `size`, by halving the longest side.
 
     Returns:
-        The rows of each part. Their order does not matter, unless coordinates are equal.
+        Indices of the points of each part.
     """
-    whole, found = [np.arange(len(points))], []
-    while whole:
-        rows = whole.pop()
+    pending, small = [np.arange(len(points))], []
+    while pending:
+        rows = pending.pop()
         if len(rows) <= size:
-            found.append(rows)
+            small.append(rows)
             continue
         own = points[rows]
         axis = np.argmax(own.max(axis=0) - own.min(axis=0))
         order = np.argpartition(own[:, axis], len(rows) // 2)
-        whole += [rows[order[: len(rows) // 2]], rows[order[len(rows) // 2 :]]]
-    return found
-
-
-def nearest_neighbours(points: np.ndarray, rows: np.ndarray, count: int) -> np.ndarray:
-    """Nearest other points of some of the points.
-
-    Args:
-        points: Shape (N, 3).
-        rows: Indices of the points whose neighbours are wanted, shape (M,).
-        count: How many, fewer than N.
-
-    Returns:
-        Indices, nearest first, shape (M, count).
-    """
-    from scipy.spatial import KDTree
-
-    tree = KDTree(points, compact_nodes=False, balanced_tree=False)
-    found = np.asarray(tree.query(points[rows], k=count + 1, workers=WORKERS)[1])
-    # A point is its own nearest, unless others lie on it: then one of them is left out instead.
-    others = found != rows[:, None]
-    others[others.all(axis=1), -1] = False
-    return found[others].reshape(len(rows), count)
+        pending += [rows[order[: len(rows) // 2]], rows[order[len(rows) // 2 :]]]
+    return small

@@ -1,6 +1,6 @@
-"""Views are independent: a few are worked on at once, in threads, without holding them all.
+"""Apply a function to views in threads, with a bounded number of results in memory.
 
-NumPy and XLA release the interpreter while they compute, so two threads use two cores.
+NumPy and XLA release the interpreter lock while they compute, so two threads use two cores.
 """
 
 from collections import deque
@@ -12,22 +12,13 @@ Item = TypeVar("Item")
 Value = TypeVar("Value")
 
 WORKERS = 2
-"""Threads, and how many items are on their way; more only cost memory, XLA has its own threads."""
+"""Threads, and items in flight: more of them only cost memory, since XLA has its own threads."""
 
 
-def ahead(
+def bounded_map(
     pool: Executor, function: Callable[[Item], Value], items: Iterable[Item]
 ) -> Iterator[Value]:
-    """`map` in the threads of a pool, in order, a bounded number of items ahead.
-
-    Args:
-        pool: Where the function runs.
-        function: Of one item.
-        items: Taken as they are needed.
-
-    Yields:
-        The values, in the order of the items.
-    """
+    """Map in the threads of a pool, in order, with at most `WORKERS` items in flight."""
     waiting: deque[Future[Value]] = deque()
     for item in items:
         waiting.append(pool.submit(function, item))

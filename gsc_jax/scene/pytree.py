@@ -1,4 +1,4 @@
-"""The one way in which types are declared here: frozen, keyword-only, a pytree of arrays."""
+"""How the package declares its types: frozen, keyword-only pytrees."""
 
 import functools
 from typing import TYPE_CHECKING, TypeVar, dataclass_transform
@@ -7,6 +7,9 @@ import chex
 
 T = TypeVar("T")
 
+STATIC = {"static": True}
+"""Metadata of the fields that `jax.tree_util.register_dataclass` makes static; chex has none."""
+
 if TYPE_CHECKING:
 
     @dataclass_transform(frozen_default=True, kw_only_default=True)
@@ -14,5 +17,5 @@ if TYPE_CHECKING:
         """Declare an immutable dataclass whose fields are the leaves of a pytree."""
         ...
 else:
-    # chex's own annotations do not survive a type checker, hence the declaration above.
+    # Type checkers do not understand chex's own annotations, hence the declaration above.
     pytree = functools.partial(chex.dataclass, frozen=True, kw_only=True, mappable_dataclass=False)

@@ -2,15 +2,15 @@
 
 import numpy as np
 
-NORMAL = 1.4826
-"""Standard deviation of a normal distribution over its median absolute deviation."""
+STD_PER_MAD = 1.4826
+"""Standard deviation of a normal distribution in units of its median absolute deviation."""
 
 
 def median_and_mad(values: np.ndarray, *, axis: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Location and scale that outliers do not move.
+    """Compute location and scale that are robust to outliers.
 
     Args:
-        values: Finite, any shape.
+        values: Finite samples, any shape.
         axis: Axis of the samples.
 
     Returns:
@@ -18,4 +18,4 @@ def median_and_mad(values: np.ndarray, *, axis: int = 0) -> tuple[np.ndarray, np
         the axis with length 1.
     """
     median = np.median(values, axis=axis, keepdims=True)
-    return median, NORMAL * np.median(np.abs(values - median), axis=axis, keepdims=True)
+    return median, STD_PER_MAD * np.median(np.abs(values - median), axis=axis, keepdims=True)

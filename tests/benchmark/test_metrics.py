@@ -1,12 +1,14 @@
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from scipy.special import logit
+from strategies import blobs, camera
 
 from gsc_jax.benchmark import metrics
-from gsc_jax.render.spherical_harmonics import Y0
-from gsc_jax.scene import Camera, Gaussians
 
 PREDICTION = np.array([[1, 1, 0], [1, 0, 0]], bool)
 TRUTH = np.array([[1, 0, 0], [1, 1, 1]], bool)
@@ -20,7 +22,7 @@ def test_worked_by_hand():
     assert counts.precision == pytest.approx(2 / 3, abs=1e-7)
     assert counts.recall == pytest.approx(1 / 2, abs=1e-7)
     assert metrics.f1_score(PREDICTION, TRUTH) == pytest.approx(4 / 7, abs=1e-7)
-    assert metrics.iou(PREDICTION, TRUTH) == pytest.approx(2 / 5, abs=1e-7)
+    assert counts.iou == pytest.approx(2 / 5, abs=1e-7)
 
 
 def test_weights_count_instead_of_entries():
@@ -38,7 +40,7 @@ def test_threshold_is_strict():
 @given(MASKS, MASKS)
 @settings(max_examples=60, deadline=None)
 def test_laws_of_f1_and_iou(prediction, truth):
-    f1, iou = metrics.f1_score(prediction, truth), metrics.iou(prediction, truth)
+    f1, iou = metrics.f1_score(prediction, truth), metrics.confusion(prediction, truth).iou
     assert 0 <= iou <= f1 + 1e-7
     assert f1 <= 1
     assert f1 == pytest.approx(2 * iou / (1 + iou), abs=1e-6)
@@ -61,7 +63,7 @@ def test_authentic_views_do_not_enter_the_mean():
     assert scores.recall == pytest.approx((1 / 2 + 1) / 2, abs=1e-6)
 
 
-def test_no_tampered_view_is_said_and_not_scored():
+def test_without_tampered_views_the_means_are_nan():
     scores = metrics.mean_over_tampered_views([PREDICTION], [np.zeros((2, 3), bool)])
     assert scores.views.size == 0
     assert np.isnan([scores.f1, scores.iou, scores.precision, scores.recall]).all()
@@ -104,35 +106,25 @@ def test_shapes_that_differ_are_refused():
         metrics.auc(PREDICTION, np.array([True, False]))
 
 
-def balls(depths, opacities, radius=0.2):
-    count = len(depths)
-    return Gaussians(
-        means=np.stack([np.zeros(count), np.zeros(count), depths], axis=-1).astype(np.float32),
-        log_scales=np.full((count, 3), np.log(radius), np.float32),
-        quats=np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)),
-        logit_opacities=np.log(np.array(opacities) / (1 - np.array(opacities))).astype(np.float32),
-        sh=np.full((count, 1, 3), 0.5 / Y0, np.float32),
-    )
+def balls(depths, opacities):
+    scene = blobs([[0, 0, depth] for depth in depths], scale=0.2)
+    logits = logit(np.array(opacities)).astype(np.float32)
+    return dataclasses.replace(scene, logit_opacities=logits)
 
 
-CAMERA = Camera(
-    viewmat=np.eye(4, dtype=np.float32),
-    K=np.array([[32, 0, 16], [0, 32, 12], [0, 0, 1]], np.float32),
-    width=32,
-    height=24,
-)
+CAMERA = camera(32, 24, focal=32.0)
 
 
 @pytest.mark.parametrize(
     ("opacities", "labels", "expected"),
     [
-        ([0.9, 0.9], [True, False], True),  # in front of what is authentic
+        ([0.9, 0.9], [True, False], True),  # in front of an authentic one
         ([0.9, 0.9], [False, True], False),  # hidden behind it
         ([0.2, 0.9], [False, True], True),  # seen through it
-        ([0.05, 0.03], [True, True], False),  # too faint to be seen: alpha <= 0.1
+        ([0.05, 0.03], [True, True], False),  # alpha <= 0.1
     ],
 )
-def test_truth_is_the_majority_of_what_is_seen(opacities, labels, expected):
+def test_true_masks_follow_the_majority_of_the_blending_weight(opacities, labels, expected):
     mask = metrics.truth_mask(balls([2.0, 4.0], opacities), CAMERA, np.array(labels))
     assert mask.shape == (24, 32)
     assert mask.dtype == bool

@@ -24,7 +24,7 @@ def test_made_scene_is_float32_degree_1_and_renderable(made):
     assert not any(rows.any() for rows in invalid_rows(made.gaussians).values())
 
 
-def test_made_scene_has_the_habits_of_a_trained_one(made):
+def test_made_scene_has_the_statistics_of_a_trained_one(made):
     g = made.gaussians
     axes = np.sort(g.log_scales, axis=1)
     opacities = np.asarray(g.opacities)
@@ -53,7 +53,7 @@ def test_object_stands_on_the_table(made):
     assert len(top) > 10
 
 
-def test_object_is_of_another_training():
+def test_object_has_other_statistics_than_the_room():
     room, pasted = scenes.make_room(count=4000), scenes.make_object(count=4000)
     anisotropy = [np.ptp(g.log_scales, axis=1).mean() for g in (room, pasted)]
     assert anisotropy[1] > anisotropy[0] + 0.5
@@ -118,8 +118,8 @@ def test_heldout_cameras_are_others(made):
 def test_points_leave_no_holes_however_long_the_surface(stretch, count):
     surface = surfaces.flat((0, 0, 0), stretch, 1)
     part = surfaces.Part(surface, surfaces.Texture("brick.png"))
-    gaussians = surfaces.made_of(
-        [part], count, habits=surfaces.Habits(), rng=np.random.default_rng(0)
+    gaussians = surfaces.sample_parts(
+        [part], count, statistics=surfaces.TrainingStatistics(), rng=np.random.default_rng(0)
     )
     spacing = np.sqrt(stretch / count)
     probes = np.random.default_rng(1).uniform(

@@ -1,4 +1,4 @@
-"""The demo: a case is made, both methods run on its files, and the story is told in numbers."""
+"""`gsc-jax demo`: the files, and that the printed scores equal those of the files."""
 
 import json
 import re
@@ -10,41 +10,37 @@ import numpy as np
 import pytest
 
 from gsc_jax.benchmark.metrics import confusion, f1_score
+from gsc_jax.benchmark.scenes import tampered_room
 from gsc_jax.cli import demo
 from gsc_jax.cli.options import Demo
-from gsc_jax.estimators.gschecker import Method
+from gsc_jax.estimators import Method
+from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.io.cameras import load_cameras
 from gsc_jax.io.masks import image_path, read_probability
 from gsc_jax.io.ply import read_ply
 
 COUNT, VIEWS, HELDOUT = 6_000, 6, 2
-CONTESTANTS = ("inverse projection", *demo.RUNS)
+METHOD_ROWS = ("inverse projection", *demo.RUNS)
 
 
 @pytest.fixture(scope="module")
-def told(tmp_path_factory):
+def finished(tmp_path_factory):
     out = tmp_path_factory.mktemp("demo")
     stages = []
-    lines = demo.run_demo(
-        Demo(out=out, seed=1),
-        count=COUNT,
-        views=VIEWS,
-        heldout=HELDOUT,
-        width=96,
-        height=72,
-        progress=lambda *told: stages.append(told[0]),
-    )
+    made = tampered_room(seed=1, count=COUNT, views=VIEWS, heldout=HELDOUT, width=96, height=72)
+    monitor = Monitor(lambda stage, *counts: stages.append(stage))
+    lines = demo.run_demo(Demo(out=out, seed=1), made=made, monitor=monitor)
     return out, lines, set(stages)
 
 
 def numbers(lines: list[str], begin: str) -> list[float]:
-    """The numbers of the line that begins so."""
+    """Numbers of the first line with this beginning."""
     line = next(line for line in lines if line.startswith(f"{begin}  "))
     return [float(x) for x in re.findall(r"[\d.]+", line.removeprefix(begin).replace(",", ""))]
 
 
-def test_the_files_are_what_locate_is_given(told):
-    out, _, _ = told
+def test_the_input_files_hold_the_scene(finished):
+    out, _, _ = finished
     scene = read_ply(out / "input" / "scene.ply")
     labels = np.load(out / "input" / "labels.npy")
     assert len(scene.gaussians) == len(labels) == COUNT
@@ -54,22 +50,22 @@ def test_the_files_are_what_locate_is_given(told):
     truths = [image_path(out / "input" / "truth", camera.name) for camera in [*cameras, *heldout]]
     assert any(read_probability(truth).any() for truth in truths)
     masks = {path.stem for path in (out / "input" / "masks").iterdir()}
-    assert masks == {camera.name for camera in cameras}, "held-out views are given away"
+    assert masks == {camera.name for camera in cameras}, "held-out views have masks"
 
 
 @pytest.mark.parametrize("method", get_args(Method))
-def test_every_method_ran_on_the_files(told, method):
-    out, _, _ = told
-    said = json.loads((out / method / "result.json").read_text())
-    assert said["method"] == method
-    assert said["command"]["masks"] == str(out / "input" / "masks")
-    assert said["counts"]["rows"] == COUNT
-    assert said["seed"] == 1
+def test_every_method_ran_on_the_files(finished, method):
+    out, _, _ = finished
+    result = json.loads((out / method / "result.json").read_text())
+    assert result["method"] == method
+    assert result["command"]["masks"] == str(out / "input" / "masks")
+    assert result["counts"]["rows"] == COUNT
+    assert result["seed"] == 1
 
 
 @pytest.mark.parametrize("method", get_args(Method))
-def test_the_printed_scores_are_those_of_the_files(told, method):
-    out, lines, _ = told
+def test_the_printed_scores_are_those_of_the_files(finished, method):
+    out, lines, _ = finished
     labels = np.load(out / method / "labels.npy")
     score = confusion(labels, np.load(out / "input" / "labels.npy"))
     assert numbers(lines, method) == [
@@ -78,72 +74,72 @@ def test_the_printed_scores_are_those_of_the_files(told, method):
     ]
 
 
-def test_every_heldout_view_has_a_score_of_every_contestant(told):
-    out, lines, _ = told
+def test_every_heldout_view_has_a_score_of_every_method(finished):
+    out, lines, _ = finished
     begin = next(k for k, line in enumerate(lines) if line.startswith("F1 of held-out view"))
     *views, _, _ = lines[begin].split()[4:]
     assert views
     for view in views:
         name = f"heldout_{view}"
         assert read_probability(image_path(out / "input" / "truth", name)).any()
-    for name, line in zip(("detector alone", *CONTESTANTS), lines[begin + 1 :], strict=False):
+    for name, line in zip(("detector alone", *METHOD_ROWS), lines[begin + 1 :], strict=False):
         *f1, mean, iou = numbers([line], name)
         assert len(f1) == len(views)
         assert mean == pytest.approx(np.mean(f1), abs=0.011)
         assert iou <= mean
 
 
-def test_the_story_names_the_regime_and_its_masks_score(told):
-    out, lines, _ = told
-    story = " ".join(lines[:5])
-    assert demo.REGIME in story
-    (printed,) = re.findall(r"mean F1 of ([\d.]+)", story)
+def test_the_introduction_states_the_score_of_the_masks(finished):
+    out, lines, _ = finished
+    introduction = " ".join(lines[:5])
+    assert demo.REGIME in introduction
+    (printed,) = re.findall(r"mean F1 of ([\d.]+)", introduction)
     scores = []
     for camera in load_cameras(out / "input" / "cameras.json"):
         truth = read_probability(image_path(out / "input" / "truth", camera.name))
         if truth.any():
-            said = read_probability(image_path(out / "input" / "masks", camera.name))
-            scores.append(f1_score(said, truth))
+            result = read_probability(image_path(out / "input" / "masks", camera.name))
+            scores.append(f1_score(result, truth))
     assert float(printed) == pytest.approx(np.mean(scores), abs=6e-3)
 
 
-def test_pictures_are_written_where_the_story_says(told):
-    out, lines, _ = told
-    told_of = re.findall(rf"{re.escape(str(out))}\S*\.(?:png|html)", "\n".join(lines))
-    picture, *reports = told_of
+def test_the_printed_paths_exist(finished):
+    out, lines, _ = finished
+    paths = re.findall(rf"{re.escape(str(out))}\S*\.(?:png|html)", "\n".join(lines))
+    picture, *reports = paths
     assert iio.imread(picture)[..., :3].std() > 10, "the picture is empty"
     assert len(reports) == len(demo.RUNS) + 2
     assert all("</html>" in Path(report).read_text(encoding="utf-8") for report in reports)
 
 
-def test_the_scene_before_the_edit_lies_beside_it(told):
-    out, lines, _ = told
+def test_the_scene_before_the_edit_is_processed_too(finished):
+    out, lines, _ = finished
     before = np.load(out / "input" / "untouched" / "labels.npy")
     assert not before.any()
     assert len(before) == COUNT - np.load(out / "input" / "labels.npy").sum()
-    for name in (demo.ALONE, demo.BOTH):
-        said = json.loads((out / f"untouched-{name}" / "result.json").read_text())
+    for name in (demo.ATTRIBUTES_ONLY, "robust"):
+        result = json.loads((out / f"untouched-{name}" / "result.json").read_text())
         edited = json.loads((out / name / "result.json").read_text())
         (line,) = [line for line in lines if line.startswith(name) and "%" in line]
         assert f"{edited['verdict']:.0%}" in line
-        assert f"{said['verdict']:.0%}" in line
-        assert line.endswith(f"{said['counts']['tampered']:,}")
+        assert f"{result['verdict']:.0%}" in line
+        assert line.endswith(f"{result['counts']['tampered']:,}")
 
 
-def test_nobody_gave_masks_to_the_gaussians(told):
-    out, _, _ = told
-    said = json.loads((out / demo.ALONE / "result.json").read_text())
-    assert said["command"]["masks"] is None
-    assert said["native"]["verdict"] == said["verdict"]
+def test_the_first_run_uses_the_attributes_only(finished):
+    out, _, _ = finished
+    result = json.loads((out / demo.ATTRIBUTES_ONLY / "result.json").read_text())
+    assert result["command"]["masks"] is None
+    assert result["attributes"]["verdict"] == result["verdict"]
 
 
-def test_the_inverse_projection_finds_all_and_much_else(told):
-    _, lines, _ = told
+def test_the_inverse_projection_has_low_precision(finished):
+    _, lines, _ = finished
     count, precision, recall, _ = numbers(lines, "inverse projection")
     assert recall > 0.5
     assert precision < 0.5
     assert count < COUNT
 
 
-def test_progress_tells_every_stage(told):
-    assert told[2] >= {"make", "load", "look", "masks", "write"}
+def test_progress_reports_every_stage(finished):
+    assert finished[2] >= {"make", "load", "views", "masks", "write"}

@@ -1,4 +1,4 @@
-"""gsc-jax evaluate: the scores are those of the metrics, and what is no truth is refused."""
+"""`gsc-jax evaluate`: scores equal the metrics, and an invalid truth is refused."""
 
 import json
 import shutil
@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_case import BROKEN, COUNT, FIXTURES, NAMES, refused, run
+from cli_case import BROKEN, COUNT, FIXTURES, NAMES, refused, run, unparsable
 from data import DATA, TAMPERED, needs_data
 
 from gsc_jax.benchmark.metrics import auc, confusion
@@ -17,7 +17,7 @@ case, found, own_cache = FIXTURES
 
 @pytest.fixture
 def folder(found, tmp_path) -> Path:
-    """A copy of results that tests may damage."""
+    """A copy of results that tests may change."""
     return shutil.copytree(found[0], tmp_path / "results")
 
 
@@ -56,7 +56,7 @@ def test_rows_that_could_not_be_read_count_as_authentic(folder, tmp_path):
 
 
 def test_by_view_with_the_detector_beside_it(case, folder, tmp_path):
-    # What was found is half right in one view, and the detector is right everywhere.
+    # One final mask covers half of the truth; the masks of the detector equal the truth.
     truth = mask(case / "masks", NAMES[0])
     half = truth & (np.cumsum(truth).reshape(truth.shape) <= truth.sum() // 2)
     write_mask(image_path(folder / "masks", NAMES[0]), half)
@@ -67,18 +67,18 @@ def test_by_view_with_the_detector_beside_it(case, folder, tmp_path):
     assert answer.code == 0
     assert not (folder / "evaluation.json").exists()
     views = json.loads(out.read_text())["views"]
-    ours, theirs = views["found"]["per_view"], views["detector"]["per_view"]
-    assert set(ours) == set(theirs) == set(NAMES[:2])
-    assert ours[NAMES[0]]["recall"] == pytest.approx(half.sum() / truth.sum())
-    assert ours[NAMES[0]]["precision"] == pytest.approx(1)
-    assert theirs[NAMES[0]]["f1"] == pytest.approx(1)
-    assert views["found"]["f1"] == pytest.approx(np.mean([v["f1"] for v in ours.values()]))
+    final, detector = views["found"]["per_view"], views["detector"]["per_view"]
+    assert set(final) == set(detector) == set(NAMES[:2])
+    assert final[NAMES[0]]["recall"] == pytest.approx(half.sum() / truth.sum())
+    assert final[NAMES[0]]["precision"] == pytest.approx(1)
+    assert detector[NAMES[0]]["f1"] == pytest.approx(1)
+    assert views["found"]["f1"] == pytest.approx(np.mean([v["f1"] for v in final.values()]))
     flagged = views["found"]["per_authentic_view"]
     assert flagged == {NAMES[2]: pytest.approx(mask(folder / "masks", NAMES[2]).mean())}
     assert views["detector"]["false_positive_area"] == pytest.approx(
         mask(folder / "detector", NAMES[2]).mean()
     )
-    for part in (NAMES[0], "mean of 2", "2D F1", "Of the authentic view"):
+    for part in (NAMES[0], "mean of 2", "2D masks on 2 + 1 judged"):
         assert part in answer.out
     assert views["truth"][NAMES[0]] == pytest.approx(truth.mean())
 
@@ -118,15 +118,14 @@ def test_nothing_tampered_anywhere(folder, tmp_path):
     np.save(tmp_path / "truth.npy", np.zeros(COUNT, bool))
     answer = run("evaluate", folder, "--truth", tmp_path / "truth", tmp_path / "truth.npy")
     assert answer.code == 0
-    assert "No view shows anything tampered" in answer.out
-    assert "Of the 3 authentic views" in answer.out
+    assert "mean of 0" in answer.out
     assert numbers(folder)["gaussians"]["auc"] is None
     assert "nan" not in answer.out
     assert numbers(folder)["views"]["found"]["f1"] is None
 
 
-def test_a_detector_that_judged_some_views_is_compared_on_these(case, folder, tmp_path):
-    """It is right in the one view that it judged, where half was found; elsewhere all was."""
+def test_a_detector_is_compared_on_the_views_that_it_judged(case, folder):
+    """Its only mask is right; the final mask covers half there, and everything elsewhere."""
     truth = {name: mask(case / "masks", name) for name in NAMES}
     whole = truth[NAMES[0]]
     half = whole & (np.cumsum(whole).reshape(whole.shape) <= whole.sum() / 2)
@@ -140,17 +139,14 @@ def test_a_detector_that_judged_some_views_is_compared_on_these(case, folder, tm
     assert 0.6 < judged < 0.7
     assert views["found_where_judged"]["f1"] == pytest.approx(judged)
     assert views["found"]["f1"] == pytest.approx((judged + 2) / 3, abs=1e-3)
-    rows = {line[:24].strip(): line[24:].split() for line in answer.out.splitlines()}
+    rows = {line[:32].strip(): line[32:].split() for line in answer.out.splitlines()}
     assert rows["mean of 3"][0] == f"{views['found']['f1']:.3f}"
-    assert rows["mean of 3"][4:] == ["-", "-"]
-    assert rows["mean of the 1 judged"][0] == f"{judged:.3f}"
-    assert rows["mean of the 1 judged"][4:] == ["1.000", "1.000"]
-    for name in NAMES[1:]:
-        assert rows[name][4:] == ["-", "-"]
+    assert rows["found on 1 + 0 judged"][0] == f"{judged:.3f}"
+    assert rows["2D masks on 1 + 0 judged"][:2] == ["1.000", "1.000"]
 
 
-def test_flagged_areas_are_compared_on_the_views_that_were_judged(case, folder, tmp_path):
-    """All views but the second are authentic, and the detector judged the last."""
+def test_flagged_areas_are_compared_on_the_views_of_the_detector(case, folder, tmp_path):
+    """All views except the second are authentic; the detector judged the last."""
     nothing = np.zeros((40, 48), bool)
     for name, flagged in zip(NAMES, (12, 0, 24), strict=True):
         truth = mask(case / "masks", name) if name == NAMES[1] else nothing
@@ -159,12 +155,10 @@ def test_flagged_areas_are_compared_on_the_views_that_were_judged(case, folder, 
         image_path(folder / "detector", name).unlink()
     write_mask(image_path(folder / "detector", NAMES[2]), ~nothing)
     answer = run("evaluate", folder, "--truth", tmp_path / "truth")
-    assert (
-        "Of the 2 authentic views, 37.5% was found; of the 1 that the 2D detector judged, 50.0%, "
-        "and 100% flagged by the 2D detector."
-    ) in answer.out
-    assert "nan" not in answer.out, "no tampered view was judged"
-    assert "judged  " not in answer.out
+    rows = {line[:32].strip(): line[32:].split() for line in answer.out.splitlines()}
+    assert rows["mean of 1"][4] == "37.5%"
+    assert rows["found on 0 + 1 judged"] == ["-", "-", "-", "-", "50.0%"]
+    assert rows["2D masks on 0 + 1 judged"] == ["-", "-", "-", "-", "100%"]
     assert numbers(folder)["views"]["found_where_judged"]["f1"] is None
 
 
@@ -189,7 +183,7 @@ def test_zeros_and_ones_are_labels(case, folder, tmp_path):
     assert run("evaluate", folder, "--truth", tmp_path / "truth.npy").code == 0
 
 
-def test_what_is_no_truth(case, folder, tmp_path):
+def test_invalid_truths(case, folder, tmp_path):
     file, several = tmp_path / "truth.npy", tmp_path / "truth.npz"
     file.write_bytes(b"no array")
     np.savez(several, a=np.zeros(2))
@@ -204,13 +198,13 @@ def test_what_is_no_truth(case, folder, tmp_path):
         ([other], "has 40 x 40 pixels, the view 48 x 40"),
         ([masks, other], "or one of each"),
         ([case / "truth.npy", file], "or one of each"),
-        ([], "--truth"),
     ):
         assert expected in refused("evaluate", folder, "--truth", *truth)
+    assert "--truth" in unparsable("evaluate", folder, "--truth")
     assert not (folder / "evaluation.json").exists()
 
 
-def test_what_are_no_results(case, folder, tmp_path):
+def test_folders_without_results(case, folder, tmp_path):
     truth = ["--truth", case / "truth.npy"]
     assert f"{tmp_path / 'no'}: " in refused("evaluate", tmp_path / "no", *truth)
     assert "holds no results" in refused("evaluate", case, *truth)
@@ -227,7 +221,7 @@ def test_the_scores_cannot_be_written(case, folder, tmp_path):
 
 @needs_data
 def test_a_real_scene(tmp_path):
-    """The truth of the shared scenes is of the form that `tamper` writes."""
+    """The truth of the shared scenes has the format of `tamper`."""
     given = DATA / "tampered" / TAMPERED[1]
     argv = [given / "scene.ply", "--cameras", given / "cameras.json", "--masks", given / "detector"]
     options = ["--detector", "none", "--views", 6, "--scale", 0.25]

@@ -14,24 +14,23 @@ def test_bars_show_every_stage_on_a_terminal_only():
     for stream, drawn in ((Terminal(), True), (io.StringIO(), False)):
         with Bars(stream) as bars:
             for done in range(3):
-                bars("look", done, 2)
+                bars("views", done, 2)
             bars("masks", 1, 1)
-        assert ("look" in stream.getvalue()) == drawn
+        assert ("views" in stream.getvalue()) == drawn
         assert ("masks" in stream.getvalue()) == drawn
         assert ("2/2" in stream.getvalue()) == drawn
 
 
-def test_bars_tell_the_rate_of_the_views_and_what_is_left(monkeypatch):
-    """What was done when the bar began, at a time that it does not know, does not count."""
+def test_the_rate_excludes_views_that_were_done_before_the_bar_began(monkeypatch):
     now = [1000.0]
     monkeypatch.setattr("tqdm.std.time", lambda: now[0])
     stream = Terminal()
     monkeypatch.setenv("COLUMNS", "100")
     with Bars(stream) as bars:
         for done in range(1, 5):
-            bars("look", done, 10)
+            bars("views", done, 10)
             now[0] += 8.0
-        bars("look", 10, 10)
+        bars("views", 10, 10)
         now[0] += 100.0
     assert "10/10 [00:32<00:00" in stream.getvalue().split("\r")[-1]
     last = next(line for line in stream.getvalue().split("\r") if "4/10" in line)

@@ -1,15 +1,24 @@
-"""The folder of results: all of it is new, all of it is old, or it holds no results."""
+"""A folder of results is replaced as a whole, or left unchanged."""
 
 import json
+import os
 import re
+import signal
+import time
 from pathlib import Path
 
 import pytest
 from cli_case import contents
 
-from gsc_jax.cli import staging as publish
-from gsc_jax.cli.options import Locate
-from gsc_jax.cli.staging import OUTPUTS, replacing
+from gsc_jax.cli.locate_options import Locate
+from gsc_jax.cli.staging import (
+    ABANDONED_SECONDS,
+    BY_CAMERA,
+    FILES,
+    OUTPUTS,
+    UNFINISHED,
+    replacing,
+)
 from gsc_jax.scene import InputError
 
 NAMES = ("highlight.ply", "labels.npy", "masks/a.png", "report.html", "result.json")
@@ -26,14 +35,14 @@ def write(folder: Path, content: str, names: tuple[str, ...] = NAMES) -> None:
 
 @pytest.fixture
 def out(tmp_path) -> Path:
-    """The results of an earlier run, which had another view, and were graded."""
+    """Results of an earlier run with one more view, and their scores."""
     out = tmp_path / "out"
     write(out, "old", (*NAMES, "masks/b.png"))
     (out / "evaluation.json").write_text("old")
     return out
 
 
-def test_what_was_there_is_replaced_or_gone(out):
+def test_files_of_the_earlier_run_are_replaced_or_removed(out):
     (out / "mine.txt").write_text("mine")
     with replacing(out) as folder:
         write(folder, "new")
@@ -47,7 +56,7 @@ def test_a_folder_in_the_way_leaves_everything_old(out, blocked):
     (out / blocked).mkdir()
     before = contents(out)
     with (
-        pytest.raises(InputError, match="is a folder, which is in the way") as refused,
+        pytest.raises(InputError, match="is a folder") as refused,
         replacing(out) as folder,
     ):
         write(folder, "new")
@@ -81,7 +90,7 @@ def test_a_disk_that_is_full_leaves_no_report_of_others(out, monkeypatch, moves)
     assert not list(out.glob(".*"))
 
 
-def test_of_a_link_the_target_stays(out, tmp_path):
+def test_the_target_of_a_link_is_kept(out, tmp_path):
     precious = tmp_path / "precious.png"
     precious.write_text("mine")
     (out / "masks" / "b.png").unlink()
@@ -92,7 +101,7 @@ def test_of_a_link_the_target_stays(out, tmp_path):
     assert not (out / "masks" / "b.png").is_symlink()
 
 
-def test_what_the_run_reads_stays(out):
+def test_inputs_of_the_run_are_kept(out):
     with replacing(out, keep=[out / "masks"]) as folder:
         write(folder, "new")
     assert (out / "masks" / "b.png").read_text() == "old"
@@ -100,7 +109,7 @@ def test_what_the_run_reads_stays(out):
 
 
 @pytest.mark.parametrize("error", [InputError, KeyboardInterrupt, ZeroDivisionError])
-def test_folders_that_were_made_are_gone_when_a_run_fails(tmp_path, error):
+def test_created_folders_are_removed_if_the_run_fails(tmp_path, error):
     (tmp_path / "there").mkdir()
     with pytest.raises(error), replacing(tmp_path / "there" / "new" / "deep" / "out"):
         raise error("on purpose")
@@ -113,8 +122,7 @@ def test_folders_that_were_made_are_gone_when_a_run_fails(tmp_path, error):
     assert contents(tmp_path / "there" / "new" / "out")
 
 
-def test_other_results_keep_what_is_called_like_ours(tmp_path):
-    """As those of `tamper`, which know of no report.html and are not graded."""
+def test_results_of_tamper_do_not_remove_a_report(tmp_path):
     write(tmp_path, "mine", ("report.html", "evaluation.json"))
     (tmp_path / "result.json").rename(tmp_path / "edit.json")
     with replacing(tmp_path, report="edit.json", by_camera=("masks",)) as folder:
@@ -123,11 +131,45 @@ def test_other_results_keep_what_is_called_like_ours(tmp_path):
     assert (tmp_path / "evaluation.json").read_text() == "mine"
 
 
-def test_people_are_told_of_every_output():
-    listed = (Locate.__doc__ or "").partition("written into the folder")[2].partition("\n\n")[0]
+def test_help_and_readme_list_every_output():
+    listed = (Locate.__doc__ or "").partition("written to the folder")[2].partition("\n\n")[0]
     names = re.findall(r"(\w+(?:/|\.\w+))(?:,| {2})", listed)
     assert sorted(names) == sorted(OUTPUTS)
     table = README.partition("[start:outputs]")[2].partition("[end:outputs]")[0]
     rows = re.findall(r"^\| (`.*?) \|", table, flags=re.MULTILINE)
     assert sorted(name for row in rows for name in re.findall(r"`(.+?)`", row)) == sorted(OUTPUTS)
-    assert {name.rstrip("/") for name in OUTPUTS} == {*publish.FILES, *publish.BY_CAMERA}
+    assert {name.rstrip("/") for name in OUTPUTS} == {*FILES, *BY_CAMERA}
+
+
+def test_a_signal_does_not_interrupt_moving_files(out, monkeypatch):
+    replace, sent = Path.replace, []
+
+    def slow(path: Path, target: Path) -> Path:
+        if not sent:
+            sent.append(True)
+            os.kill(os.getpid(), signal.SIGINT)
+        return replace(path, target)
+
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    monkeypatch.setattr(Path, "replace", slow)
+    try:
+        with pytest.raises(KeyboardInterrupt), replacing(out) as folder:
+            write(folder, "new")
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert set(contents(out)) == set(NAMES)
+    assert {(out / name).read_text() for name in NAMES[:-1]} == {"new"}
+
+
+def test_abandoned_temporary_folders_are_removed(tmp_path):
+    old, new = tmp_path / f"{UNFINISHED}old", tmp_path / f"{UNFINISHED}new"
+    for folder in (old, new):
+        folder.mkdir()
+        (folder / "tamper.ply").write_bytes(b"half of it")
+    before = time.time() - ABANDONED_SECONDS - 60
+    os.utime(old, (before, before))
+    with replacing(tmp_path) as folder:
+        (folder / "labels.npy").write_bytes(b"labels")
+    assert not old.exists()
+    assert new.exists(), "another run may be using it"
+    assert (tmp_path / "labels.npy").exists()

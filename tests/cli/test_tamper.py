@@ -1,4 +1,4 @@
-"""The command `tamper`: what it writes is what `locate` reads, and the truth of it."""
+"""`gsc-jax tamper`: the edited scene, its truth, and input for `locate`."""
 
 import json
 import shutil
@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_cli import refused, run
+from cli_case import refused, run, unparsable
 
 from gsc_jax import load_cameras, load_ply, save_ply
 from gsc_jax.benchmark.metrics import truth_mask
@@ -26,8 +26,8 @@ def room(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module", params=["incorporation", "modification", "removal"])
 def edited(request, room, tmp_path_factory):
     out = tmp_path_factory.mktemp("edited") / "out"
-    looked = ["--cameras", room / "cameras.json", "--out", out, "--edit", request.param]
-    return request.param, out, run("tamper", room / "scene.ply", *looked)
+    cameras = ["--cameras", room / "cameras.json", "--out", out, "--edit", request.param]
+    return request.param, out, run("tamper", room / "scene.ply", *cameras)
 
 
 def test_the_truth_is_that_of_the_scene_written(edited):
@@ -37,13 +37,13 @@ def test_the_truth_is_that_of_the_scene_written(edited):
     gaussians, labels = load_ply(out / "scene.ply"), np.load(out / "labels.npy")
     assert labels.dtype == bool
     assert 0 < labels.sum() < len(labels) == len(gaussians)
-    account = json.loads((out / "edit.json").read_text())
-    assert account["tampered"] == labels.sum()
+    description = json.loads((out / "edit.json").read_text())
+    assert description["tampered"] == labels.sum()
     for camera in load_cameras(out / "cameras.json"):
         written = read_probability(image_path(out / "truth", camera.name)) > 0.5
         differs = np.mean(written != truth_mask(gaussians, camera, labels))
         assert differs < 0.002  # the file rounds quaternions to unit length
-        assert account["visible"][camera.name] == pytest.approx(written.mean(), abs=0.01)
+        assert description["visible"][camera.name] == pytest.approx(written.mean(), abs=0.01)
 
 
 def test_locate_reads_what_tamper_writes(edited, tmp_path):
@@ -56,14 +56,14 @@ def test_locate_reads_what_tamper_writes(edited, tmp_path):
 
 
 def test_a_vase_is_pasted_by_default_and_any_object_on_request(room, tmp_path):
-    looked = ["--cameras", room / "cameras.json", "--masks", "none"]
-    answer = run("tamper", room / "scene.ply", *looked, "--out", tmp_path / "own", "--object",
+    cameras = ["--cameras", room / "cameras.json", "--masks", "none"]
+    answer = run("tamper", room / "scene.ply", *cameras, "--out", tmp_path / "own", "--object",
                  room / "scene.ply")  # fmt: skip
     assert answer.code == 0
     assert "find it" not in answer.out
     assert not (tmp_path / "own" / "masks").exists()
-    account = json.loads((tmp_path / "own" / "edit.json").read_text())
-    assert account["command"]["object"] == str(room / "scene.ply")
+    description = json.loads((tmp_path / "own" / "edit.json").read_text())
+    assert description["command"]["object"] == str(room / "scene.ply")
 
 
 def test_a_second_edit_leaves_nothing_of_the_first(room, tmp_path):
@@ -86,10 +86,9 @@ def test_the_near_plane_counts(room, tmp_path):
     assert not (tmp_path / "o").exists()
 
 
-def test_what_is_read_and_what_locate_wrote_is_left_alone(room, tmp_path):
+def test_inputs_and_results_of_locate_are_kept(room, tmp_path):
     shutil.copytree(room, tmp_path / "mine")
     before = (tmp_path / "mine" / "cameras.json").read_bytes()
-    # The folder of the cameras is the folder of the results.
     message = refused(
         "tamper", room / "scene.ply", "--cameras", tmp_path / "mine", "--out", tmp_path / "mine"
     )
@@ -101,31 +100,31 @@ def test_what_is_read_and_what_locate_wrote_is_left_alone(room, tmp_path):
     assert "results of `locate`" in refused("tamper", room / "scene.ply", *cameras)
 
 
-def test_files_of_other_people_are_not_overwritten(room, tmp_path):
+def test_foreign_files_are_not_overwritten(room, tmp_path):
     (tmp_path / "scene.ply").write_text("mine")
     cameras = ["--cameras", room / "cameras.json", "--out", tmp_path]
-    assert "scene.ply: is there" in refused("tamper", room / "scene.ply", *cameras)
+    assert "scene.ply: exists" in refused("tamper", room / "scene.ply", *cameras)
     assert (tmp_path / "scene.ply").read_text() == "mine"
 
 
-def test_an_object_that_is_none_is_refused(room, tmp_path):
+def test_an_object_without_extent_is_refused(room, tmp_path):
     save_ply(tmp_path / "speck.ply", make_room(count=6_000).take(np.arange(3)))
     message = refused(
         "tamper", room / "scene.ply", "--cameras", room / "cameras.json", "--out", tmp_path / "o",
         "--object", tmp_path / "speck.ply",
     )  # fmt: skip
     assert "speck.ply" in message
-    assert "expected a .ply of one thing" in message
+    assert "expected a .ply of one object" in message
 
 
-def test_bad_input_is_one_line(room, tmp_path):
+def test_invalid_options(room, tmp_path):
     scene, out = room / "scene.ply", tmp_path / "out"
     cameras = ["--cameras", room / "cameras.json"]
     assert "--object" in refused(
         "tamper", scene, *cameras, "--out", out, "--edit", "removal", "--object", scene
     )
     assert "--size" in refused("tamper", scene, *cameras, "--out", out, "--size", 0.9)
-    assert "--edit" in refused("tamper", scene, *cameras, "--out", out, "--edit", "addition")
+    assert "--edit" in unparsable("tamper", scene, *cameras, "--out", out, "--edit", "addition")
     assert not out.exists()
     shutil.copy(scene, tmp_path / "scene.ply")
     message = refused("tamper", tmp_path / "scene.ply", *cameras, "--out", tmp_path)

@@ -1,4 +1,4 @@
-"""The numbers of the README are those of the tables that the experiments print."""
+"""The figures of the README equal those of docs/results.md."""
 
 import re
 from pathlib import Path
@@ -18,13 +18,13 @@ NAMES = {
 
 
 def cells(text: str, first: str) -> list[str]:
-    """The row of a table that begins with a name, without it."""
+    """Cells of the row of a table that begins with a name, without the name."""
     (row,) = re.findall(rf"^\| {re.escape(first)} \|(.*)\|$", text, flags=re.MULTILINE)
     return [cell.strip() for cell in row.split("|")]
 
 
 def table(heading: str) -> str:
-    """The first table of the results below a text."""
+    """First table of the results after a text."""
     below = RESULTS[RESULTS.index(heading) :]
     return re.search(r"(^\|.*\n)+", below, flags=re.MULTILINE)[0]  # type: ignore[index]
 
@@ -34,26 +34,26 @@ def means(row: list[str]) -> list[float]:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_methods_do_as_the_readme_says(name):
+def test_f1_by_method(name):
     failures = "| method | clean | boundary | misses | blobs | consistent | inverted | mixture |"
     row = means(cells(table(failures), NAMES[name]))
-    said = [float(cell) for cell in cells(README, name)]
-    assert said == [row[0], row[-1], min(row[:-1])]
+    quoted = [float(cell) for cell in cells(README, name)]
+    assert quoted == [row[0], row[-1], min(row[:-1])]
 
 
 @pytest.mark.parametrize(
-    ("said", "evidence"),
+    ("quoted", "evidence"),
     [
         ("AUC per Gaussian, file as edited", "Gaussians, as edited"),
         ("AUC per Gaussian, exported again in 8 bits", "Gaussians, 8 bits"),
     ],
 )
-def test_the_gaussians_say_as_much_as_the_readme_says(said, evidence):
+def test_auc_without_a_detector(quoted, evidence):
     row = means(cells(table("**AUC per Gaussian, no 2D detector**"), evidence))[:3]
-    np.testing.assert_allclose([float(cell) for cell in cells(README, said)], row, atol=0.0051)
+    np.testing.assert_allclose([float(cell) for cell in cells(README, quoted)], row, atol=0.0051)
 
 
-def test_the_masks_without_a_detector_are_as_good_as_the_readme_says():
+def test_f1_of_masks_without_a_detector():
     pairs = [cell.split(" / ") for cell in cells(README, "mean F1 per view, as edited / exported")]
     masks = table("**F1 per held-out view, no 2D detector**")
     for column, evidence in enumerate(("Gaussians, as edited", "Gaussians, 8 bits")):

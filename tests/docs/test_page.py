@@ -138,8 +138,8 @@ def wait(browser: Browser) -> WebDriverWait:
 
 
 def nothing_wrong(browser: Browser) -> None:
-    assert browser.complaints() == []
-    assert browser.strangers() == []
+    assert browser.errors() == []
+    assert browser.foreign_requests() == []
 
 
 def test_pages_open_with_their_pictures(browser, address):
@@ -188,7 +188,7 @@ def test_it_can_be_read_without_a_server(browser, site):
     browser.find_element(By.LINK_TEXT, "Tutorial").click()
     wait(browser).until(lambda b: b.current_url.endswith("tutorial.html"))
     assert "A scene with a known truth" in browser.find_element(By.TAG_NAME, "article").text
-    assert browser.strangers() == []
+    assert browser.foreign_requests() == []
 
 
 def test_nothing_is_cut_off_on_a_phone(browser, address):

@@ -1,8 +1,8 @@
-"""Which class is what, from rates and weights written down by hand."""
+"""Roles of classes, from rates and weights written by hand."""
 
 import numpy as np
 
-from gsc_jax.estimators.robust.class_roles import assign_roles, verdict
+from gsc_jax.estimators.robust.class_roles import assign_roles, scene_probability
 
 LOW, HIGH = 0.05, 0.95
 
@@ -25,37 +25,37 @@ def test_the_heaviest_class_is_authentic_and_the_most_flagged_tampered():
     assert found.views == 4
 
 
-def test_views_that_flag_the_authentic_class_are_turned():
+def test_views_that_flag_the_authentic_class_are_inverted():
     found = roles([LOW, HIGH, LOW], [HIGH, LOW, HIGH])
     assert found.inverted.tolist() == [False, True, False]
     assert found.patterns[1].tolist() == [True, True, True]
-    believed = roles([LOW, HIGH, LOW], [HIGH, LOW, HIGH], inversion=False)
-    assert not believed.inverted.any()
+    kept = roles([LOW, HIGH, LOW], [HIGH, LOW, HIGH], inversion=False)
+    assert not kept.inverted.any()
 
 
-def test_a_view_that_hardly_sees_the_authentic_class_is_not_turned():
+def test_a_view_that_hardly_sees_the_authentic_class_is_not_inverted():
     weights = [[1, 0.001, 1], [1, 9, 1]]
     assert not roles([LOW, HIGH, LOW], [HIGH, HIGH, HIGH], weights=weights).inverted.any()
 
 
-def test_what_is_flagged_in_fewer_other_views_is_a_rival():
+def test_a_class_flagged_in_fewer_views_is_a_distractor():
     often, seldom = [HIGH] * 6, [HIGH, HIGH, HIGH, LOW, LOW, LOW]
     found = roles([LOW] * 6, often, seldom)
     assert found.tampered.tolist() == [False, True, False]
     assert found.patterns[2].tolist() == [True] * 3 + [False] * 3
-    assert len(roles([LOW] * 6, often, seldom, rivals=False).tampered) == 2
+    assert len(roles([LOW] * 6, often, seldom, distractors=False).tampered) == 2
 
 
-def test_a_ragged_edge_is_no_rival():
+def test_a_class_with_rates_near_one_half_is_no_distractor():
     assert len(roles([LOW] * 6, [HIGH] * 6, [0.8, 0.7, 0.6, 0.3, 0.25, 0.3]).tampered) == 2
 
 
-def test_what_is_flagged_nearly_as_often_is_a_second_edit():
+def test_a_class_flagged_nearly_as_often_is_a_second_edit():
     found = roles([LOW] * 12, [HIGH] * 12, [LOW] * 2 + [HIGH] * 10)
     assert found.tampered.tolist() == [False, True, True]
 
 
-def test_where_a_class_is_not_seen_it_is_what_it_resembles():
+def test_views_that_do_not_see_a_class_do_not_count():
     weights = [[1.0] * 4, [1, 1, 1, 0.0]]
     found = roles([LOW] * 4, [HIGH, HIGH, HIGH, 0.5], weights=weights)
     assert found.rate == 1
@@ -67,12 +67,12 @@ def test_one_class_has_no_roles():
     assert assign_roles(np.full((2, 3), LOW), np.array([[1.0] * 3, [0.0] * 3])) is None
 
 
-def test_the_verdict_grows_with_the_rate_and_few_views_decide_nothing():
-    values = [verdict(rate, 20) for rate in np.linspace(0, 1, 11)]
+def test_the_scene_probability_grows_with_the_rate_and_the_number_of_views():
+    values = [scene_probability(rate, 20) for rate in np.linspace(0, 1, 11)]
     assert values == sorted(values)
     assert 0 < values[0] < 0.01 < 0.98 < values[-1] < 1
-    assert 0.5 < verdict(1.0, 1) < verdict(1.0, 3) < verdict(1.0, 20)
-    assert 0.5 > verdict(0.0, 1) > verdict(0.0, 3) > verdict(0.0, 20)
+    assert 0.5 < scene_probability(1.0, 1) < scene_probability(1.0, 3) < scene_probability(1.0, 20)
+    assert 0.5 > scene_probability(0.0, 1) > scene_probability(0.0, 3) > scene_probability(0.0, 20)
 
 
 def test_a_view_that_flags_one_of_several_authentic_classes_is_not_inverted():
@@ -81,8 +81,3 @@ def test_a_view_that_flags_one_of_several_authentic_classes_is_not_inverted():
     found = assign_roles(rates, weights)
     assert found is not None
     assert not found.inverted.any()
-
-
-def test_views_without_the_tampered_class_are_told():
-    found = roles([LOW] * 3, [HIGH, HIGH, LOW], weights=[[1.0] * 3, [1, 1, 0.01]])
-    assert found.sees.tolist() == [True, True, False]

@@ -1,4 +1,4 @@
-"""Looking no longer than it takes: which views, how many, and that nothing depends on it."""
+"""Early stopping over views: which views, how many, and the same labels."""
 
 import dataclasses
 
@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import blobs, camera
 
-from gsc_jax import RobustConfig, locate
-from gsc_jax.estimators.robust.early_stopping import FIRST, batches, changed, spread
+from gsc_jax import Monitor, RobustEstimator, locate
+from gsc_jax.estimators.robust.early_stopping import FIRST_BATCH, batches, changed, spread
 from gsc_jax.evidence.lifting import Evidence
 from gsc_jax.evidence.masks import rendered_share
 
@@ -33,7 +33,7 @@ MASKS = {c.name: rendered_share(SCENE, c, TRUTH) for c in CAMERAS}
 
 
 class Network:
-    """A detector that has to be shown the images."""
+    """A detector that needs images."""
 
     needs_image = True
 
@@ -44,7 +44,7 @@ class Network:
         return list(cameras)
 
     def __call__(self, image, camera):
-        """The truth, in the views that are looked at after the first ones."""
+        """Return the truth, except in the first views."""
         del image
         late = LATER.index(camera.name) >= self.first
         return MASKS[camera.name] if late else np.zeros_like(MASKS[camera.name])
@@ -53,13 +53,13 @@ class Network:
 LATER = [f"view_{k}" for k in spread(VIEWS)]
 
 
-def test_masks_that_are_there_are_all_used():
-    assert len(locate(SCENE, CAMERAS, MASKS).detections) == VIEWS
+def test_given_masks_are_all_used():
+    assert len(locate(SCENE, CAMERAS, MASKS).probabilities) == VIEWS
 
 
-def test_views_are_added_until_something_is_found():
+def test_views_are_added_until_something_is_labelled():
     result = locate(SCENE, CAMERAS, Network(first=18))
-    assert len(result.detections) == VIEWS, "it stopped before anything could be found"
+    assert len(result.probabilities) == VIEWS, "stopped before anything was labelled"
 
 
 @given(st.integers(1, 300))
@@ -76,34 +76,34 @@ def test_batches_grow_and_end_with_all(count):
     ends = list(batches(count))
     assert ends[-1] == count
     assert ends == sorted(set(ends))
-    assert len(ends) == 1 or ends[0] == FIRST
+    assert len(ends) == 1 or ends[0] == FIRST_BATCH
 
 
-def test_views_are_added_until_the_labels_stay():
+def test_views_are_added_until_the_labels_are_stable():
     result = locate(SCENE, CAMERAS, Network())
-    assert result.effort is not None
-    assert result.effort.views < result.effort.available == VIEWS
-    assert result.effort.changes[-1] < 0.02
-    assert "changed" in result.effort.reason
-    assert len(result.detections) == len(result.reliability) == result.effort.views
-    assert len(result.masks) == VIEWS, "the final masks are those of every view"
+    assert result.early_stopping is not None
+    assert result.early_stopping.views < result.early_stopping.available == VIEWS
+    assert result.early_stopping.changes[-1] < 0.02
+    assert "changed" in result.early_stopping.reason
+    assert len(result.probabilities) == len(result.reliability) == result.early_stopping.views
+    assert len(result.masks) == VIEWS, "a view has no final mask"
     assert np.array_equal(result.labels, TRUTH)
 
 
-def test_progress_counts_on_over_the_batches():
-    told = []
-    locate(SCENE, CAMERAS, Network(), progress=lambda *args: told.append(args))
-    looked = [(done, total) for stage, done, total in told if stage == "look"]
-    assert {total for _, total in looked} == {VIEWS}
-    done = [done for done, _ in looked]
+def test_progress_counts_across_batches():
+    calls = []
+    locate(SCENE, CAMERAS, Network(), monitor=Monitor(lambda *args: calls.append(args)))
+    views = [(done, total) for stage, done, total in calls if stage == "views"]
+    assert {total for _, total in views} == {VIEWS}
+    done = [done for done, _ in views]
     assert done == sorted(done)
     assert set(done) == set(range(done[-1] + 1))
 
 
-def test_without_tolerance_every_view_is_looked_at():
-    result = locate(SCENE, CAMERAS, Network(), config=RobustConfig(tolerance=0.0))
-    assert result.effort is None
-    assert len(result.detections) == VIEWS
+def test_tolerance_0_uses_every_view():
+    result = locate(SCENE, CAMERAS, Network(), config=RobustEstimator(tolerance=0.0))
+    assert result.early_stopping is None
+    assert len(result.probabilities) == VIEWS
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Latent classes: they are found again in what was drawn from them, and their number with them."""
+"""Latent classes: rates, shares and their number are recovered from samples."""
 
 import numpy as np
 import pytest
@@ -11,15 +11,15 @@ RATES = np.array(
 SHARES = np.array([0.6, 0.25, 0.15])
 
 
-def drawn(count: int = 1500, looks: int = 8, seed: int = 0):
+def drawn(count: int = 1500, pixels: int = 8, seed: int = 0):
     rng = np.random.default_rng(seed)
     kinds = rng.choice(3, count, p=SHARES)
     seen = rng.random((6, count)) < 0.8
-    flagged = rng.binomial(looks, RATES[kinds].T) * seen
-    return kinds, flagged.astype(np.float32), (looks * seen - flagged).astype(np.float32)
+    flagged = rng.binomial(pixels, RATES[kinds].T) * seen
+    return kinds, flagged.astype(np.float32), (pixels * seen - flagged).astype(np.float32)
 
 
-def test_the_rates_and_shares_are_found_again():
+def test_rates_and_shares_are_recovered():
     _, flagged, clear = drawn()
     fit = fit_classes(flagged, clear, counts=(3,), restarts=4)
     order = np.argsort(-np.asarray(fit.classes.shares))
@@ -27,33 +27,33 @@ def test_the_rates_and_shares_are_found_again():
     np.testing.assert_allclose(np.asarray(fit.classes.shares)[order], SHARES, atol=0.03)
 
 
-def test_the_data_choose_the_number_of_classes():
+def test_the_criterion_chooses_the_number_of_classes():
     _, flagged, clear = drawn()
     fit = fit_classes(flagged, clear, counts=(2, 3, 6), restarts=3)
     assert np.sum(np.asarray(fit.classes.shares) > 0) == 3
     assert np.asarray(fit.criterion).shape == np.asarray(fit.iterations).shape == (9,)
 
 
-def test_belonging_tells_the_kinds_apart_and_adds_up_to_one():
+def test_responsibilities_separate_the_classes_and_add_up_to_one():
     kinds, flagged, clear = drawn()
     fit = fit_classes(flagged, clear, counts=(3,), restarts=4)
-    belongs = np.asarray(fit.belongs)
-    np.testing.assert_allclose(belongs.sum(axis=0), 1, atol=1e-5)
+    responsibilities = np.asarray(fit.responsibilities)
+    np.testing.assert_allclose(responsibilities.sum(axis=0), 1, atol=1e-5)
     order = np.argsort(-np.asarray(fit.classes.shares))
-    assert np.mean(np.argmax(belongs[order], axis=0) == kinds) > 0.98
+    assert np.mean(np.argmax(responsibilities[order], axis=0) == kinds) > 0.98
 
 
-def test_rates_are_never_certain_and_unseen_gaussians_say_nothing():
+def test_rates_are_bounded_and_unseen_gaussians_follow_the_shares():
     flagged, clear = np.zeros((6, 1500), np.float32), np.zeros((6, 1500), np.float32)
     flagged[:, :10] = 1e6
     fit = fit_classes(flagged, clear, counts=(2,))
     rates = np.asarray(fit.classes.rates)
     assert RATE_FLOOR <= rates.min() <= rates.max() <= 1 - RATE_FLOOR
-    belongs = np.asarray(fit.belongs)
-    np.testing.assert_allclose(belongs[:, -1], np.asarray(fit.classes.shares), atol=1e-6)
+    responsibilities = np.asarray(fit.responsibilities)
+    np.testing.assert_allclose(responsibilities[:, -1], np.asarray(fit.classes.shares), atol=1e-6)
 
 
-def test_the_fit_is_the_same_again_and_another_seed_starts_elsewhere():
+def test_the_fit_is_deterministic_for_a_seed():
     _, flagged, clear = drawn()
     one, again, other = (fit_classes(flagged, clear, counts=(3,), seed=s) for s in (0, 0, 1))
     assert np.array_equal(one.classes.rates, again.classes.rates)
@@ -63,7 +63,7 @@ def test_the_fit_is_the_same_again_and_another_seed_starts_elsewhere():
 @pytest.mark.parametrize(
     "wrong", [{"counts": ()}, {"counts": (0,)}, {"counts": (2,), "restarts": 0}]
 )
-def test_nothing_to_choose_from_is_refused(wrong):
+def test_no_candidates_and_no_gaussians_are_errors(wrong):
     _, flagged, clear = drawn()
     with pytest.raises(ValueError, match="numbers of classes"):
         fit_classes(flagged, clear, **wrong)

@@ -1,4 +1,4 @@
-"""The estimator: what masks may do wrong, what must not matter to it, and evidence of any kind."""
+"""`robust`: failures of masks, invariances, and arbitrary evidence."""
 
 import dataclasses
 
@@ -8,25 +8,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from gsc_jax.estimators.protocol import NOTHING
-from gsc_jax.estimators.robust.class_roles import assign_roles, verdict
-from gsc_jax.estimators.robust.estimator import (
-    RobustConfig,
-    disagreement,
-    estimate,
-    find_robust,
-    looks_of,
-)
-from gsc_jax.estimators.robust.prior_fusion import Prior
+from gsc_jax.estimators import Finding, Prior, RobustEstimator
+from gsc_jax.estimators.protocol import NONE_FLAGGED
+from gsc_jax.estimators.robust.class_roles import assign_roles, scene_probability
+from gsc_jax.estimators.robust.estimator import pattern_distance
+from gsc_jax.estimators.robust.normalise import visibility
 from gsc_jax.evidence.lifting import Evidence
 
 VIEWS, COUNT = 12, 400
-CONFIG = RobustConfig(sample=512)
+ESTIMATOR = RobustEstimator(sample=512)
 AUTHENTIC, TAMPERED, DECOY = 0, 1, 2
 
 
 def world(seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Kinds (N,), centres (N, 3) in three heaps, and what each view sees of each Gaussian."""
+    """Kinds (N,), centres (N, 3) in three clusters, and weights (V, N)."""
     rng = np.random.default_rng(seed)
     kinds = rng.choice([AUTHENTIC, TAMPERED, DECOY], COUNT, p=[0.7, 0.15, 0.15])
     means = rng.normal(size=(COUNT, 3)) + 20 * np.eye(3)[kinds]
@@ -39,14 +34,14 @@ TRUE = KINDS == TAMPERED
 
 
 def masked(flagged: np.ndarray, total: np.ndarray = TOTAL, noise: float = 0.05) -> Evidence:
-    """Evidence of masks that flag these Gaussians in these views (V, N), but for a few percent."""
+    """Evidence of masks that flag these Gaussians in these views (V, N), up to noise."""
     rng = np.random.default_rng(1)
     rate = np.where(flagged, 1 - noise * rng.random(total.shape), noise * rng.random(total.shape))
     return Evidence(total=total, tampered=(total * rate).astype(np.float32))
 
 
 def failing(failure: str) -> np.ndarray:
-    """What is flagged, shape (V, N), by a detector that fails in one way."""
+    """Flagged Gaussians, shape (V, N), of a detector with one kind of failure."""
     flagged = np.tile(TRUE, (VIEWS, 1))
     if failure in ("misses", "mixture"):
         flagged[[1, 4, 9]] = False
@@ -57,46 +52,52 @@ def failing(failure: str) -> np.ndarray:
     return flagged
 
 
-def verdict_of(evidence: Evidence, config: RobustConfig = CONFIG) -> float:
-    found = find_robust(evidence, MEANS, config).verdict
-    assert found is not None
-    return found
+def estimate(
+    evidence: Evidence, estimator: RobustEstimator = ESTIMATOR, prior: Prior | None = None
+) -> Finding:
+    return estimator.estimate_from_evidence(evidence, MEANS, prior)
+
+
+def verdict_of(evidence: Evidence, estimator: RobustEstimator = ESTIMATOR) -> float:
+    verdict = estimate(evidence, estimator).verdict
+    assert verdict is not None
+    return verdict
 
 
 def labels_of(evidence: Evidence, means: np.ndarray = MEANS) -> np.ndarray:
-    return estimate(evidence, means, CONFIG).probability > 0.5
+    return ESTIMATOR.from_masks(evidence, means).probability > 0.5
 
 
 @pytest.mark.parametrize("failure", ["clean", "misses", "consistent", "inverted", "mixture"])
-def test_what_is_tampered_is_found_whatever_the_detector_does_wrong(failure):
+def test_labels_are_exact_under_every_failure(failure):
     assert np.array_equal(labels_of(masked(failing(failure))), TRUE & (TOTAL.sum(0) > 0))
 
 
-def test_inverted_and_missing_views_are_told():
-    found = find_robust(masked(failing("mixture")), MEANS, CONFIG)
-    expected = np.full(VIEWS, "finds", object)
-    expected[[1, 4, 9]] = "misses"
+def test_inverted_and_uninformative_views_are_identified():
+    found = estimate(masked(failing("mixture")))
+    expected = np.full(VIEWS, "reliable", object)
+    expected[[1, 4, 9]] = "uninformative"
     expected[[2, 7]] = "inverted"
     assert list(found.reliability) == list(expected)
 
 
-def test_a_method_that_believes_inverted_masks_finds_less_agreement():
+def test_without_inversion_the_scene_probability_falls():
     flagged = failing("clean")
     flagged[:5] = ~flagged[:5]
-    believing = dataclasses.replace(CONFIG, inversion=False)
-    believed, turned = (find_robust(masked(flagged), MEANS, c) for c in (believing, CONFIG))
-    assert verdict_of(masked(flagged), believing) < 0.7 < 0.99 < verdict_of(masked(flagged))
-    assert "inverted" not in believed.reliability
+    without = dataclasses.replace(ESTIMATOR, inversion=False)
+    kept, turned = (estimate(masked(flagged), c) for c in (without, ESTIMATOR))
+    assert verdict_of(masked(flagged), without) < 0.7 < 0.99 < verdict_of(masked(flagged))
+    assert "inverted" not in kept.reliability
     assert turned.reliability[:5] == ("inverted",) * 5
 
 
-def test_a_clean_mask_of_an_edit_that_fills_the_image_is_not_taken_for_inverted():
+def test_a_clean_mask_of_an_edit_that_fills_the_image_is_not_inverted():
     total = TOTAL.copy()
     total[3, ~TRUE] *= 0.01
     total[3, TRUE] += 100
     evidence = masked(failing("clean"), total)
     assert evidence.tampered[3].sum() > 0.9 * evidence.total[3].sum(), "the edit fills this view"
-    found = estimate(evidence, MEANS, CONFIG)
+    found = ESTIMATOR.from_masks(evidence, MEANS)
     assert found.roles is not None
     assert not found.roles.inverted.any()
     assert np.array_equal(found.probability > 0.5, TRUE)
@@ -109,25 +110,25 @@ def test_a_second_edit_that_is_detected_nearly_as_often_is_kept():
     assert np.array_equal(labels_of(masked(flagged)), KINDS != AUTHENTIC)
 
 
-def test_the_verdict_rises_with_the_share_of_the_views_that_find_it():
+def test_the_scene_probability_rises_with_the_share_of_reliable_views():
     assert verdict_of(masked(failing("clean"))) > verdict_of(masked(failing("misses"))) > 0.5
-    assert verdict(0.55, 10) == pytest.approx(0.5)
+    assert scene_probability(0.55, 10) == pytest.approx(0.5)
     decoy = failing("consistent") & (KINDS == DECOY)
     decoy[8:] = False
-    untouched = find_robust(masked(decoy), MEANS, CONFIG)
+    untouched = estimate(masked(decoy))
     assert verdict_of(masked(decoy)) < 0.5
-    assert any("perhaps nothing was tampered with" in text for text in untouched.warnings)
+    assert any("perhaps nothing was edited" in text for text in untouched.warnings)
 
 
-def test_what_few_views_flag_is_labelled_only_if_that_is_asked_for():
+def test_a_region_flagged_in_few_views_is_labelled_only_without_min_verdict():
     flagged = np.zeros((VIEWS, COUNT), bool)
     flagged[np.ix_([2, 7], KINDS == DECOY)] = True
-    few = find_robust(masked(flagged), MEANS, CONFIG)
+    few = estimate(masked(flagged))
     assert not few.labels.any()
     assert not few.tamper.any()
-    assert any("None was flagged in more than 17% of those" in text for text in few.warnings)
-    believing = find_robust(masked(flagged), MEANS, dataclasses.replace(CONFIG, doubt=0.0))
-    assert np.array_equal(believing.labels, KINDS == DECOY)
+    assert any("No region is flagged in more than 17%" in text for text in few.warnings)
+    without = estimate(masked(flagged), dataclasses.replace(ESTIMATOR, min_verdict=0.0))
+    assert np.array_equal(without.labels, KINDS == DECOY)
 
 
 @pytest.mark.parametrize(
@@ -135,22 +136,22 @@ def test_what_few_views_flag_is_labelled_only_if_that_is_asked_for():
     [
         {"mask_rule": "all"},
         {"sample": 0},
-        {"trust": 0.0},
+        {"half_weight": 0.0},
         {"threshold": 1.0},
-        {"doubt": -0.1},
-        {"native": 2.0},
+        {"min_verdict": -0.1},
+        {"prior_weight": 2.0},
     ],
 )
-def test_a_configuration_without_meaning_is_refused(wrong):
+def test_values_out_of_range_are_errors(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):
-        RobustConfig(**wrong)
+        RobustEstimator(**wrong)
 
 
-def test_nothing_flagged_and_everything_flagged_are_defined():
-    nothing = find_robust(Evidence(total=TOTAL, tampered=np.zeros_like(TOTAL)), MEANS, CONFIG)
+def test_empty_and_full_masks_are_defined():
+    nothing = estimate(Evidence(total=TOTAL, tampered=np.zeros_like(TOTAL)))
     assert not nothing.labels.any()
-    assert nothing.verdict == verdict(0.0, VIEWS)
-    everything = find_robust(Evidence(total=TOTAL, tampered=TOTAL), MEANS, CONFIG)
+    assert nothing.verdict == scene_probability(0.0, VIEWS)
+    everything = estimate(Evidence(total=TOTAL, tampered=TOTAL))
     assert np.array_equal(everything.labels, TOTAL.sum(0) > 0)
 
 
@@ -190,8 +191,8 @@ def test_a_view_that_flags_or_sees_nothing_may_be_added(sees):
 def test_complementing_all_masks_changes_nothing():
     complement = Evidence(total=TOTAL, tampered=TOTAL - MIXED.tampered)
     assert np.array_equal(labels_of(complement), LABELS)
-    warnings = find_robust(complement, MEANS, CONFIG).warnings
-    assert any("read the other way round" in text for text in warnings)
+    warnings = estimate(complement).warnings
+    assert any("were inverted" in text for text in warnings)
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1e3])
@@ -199,25 +200,27 @@ def test_the_unit_of_the_scene_does_not_matter(scale):
     assert np.array_equal(labels_of(MIXED, MEANS * np.float32(scale)), LABELS)
 
 
-def test_two_halves_of_the_evidence_merge_to_the_whole():
+def test_pattern_distances_of_two_halves_add_up():
     whole = [*range(1, VIEWS, 2), *range(0, VIEWS, 2)]
     assert np.array_equal(labels_of(rows(MIXED, whole)), LABELS)
     first, second = rows(MIXED, whole[: VIEWS // 2]), rows(MIXED, whole[VIEWS // 2 :])
-    roles = estimate(MIXED, MEANS, CONFIG).roles
+    roles = ESTIMATOR.from_masks(MIXED, MEANS).roles
     assert roles is not None
     halves = [
         dataclasses.replace(roles, inverted=roles.inverted[some], patterns=roles.patterns[:, some])
         for some in (whole[: VIEWS // 2], whole[VIEWS // 2 :])
     ]
     parts = [
-        disagreement(part, half, CONFIG.trust)
+        pattern_distance(part, half, ESTIMATOR.half_weight)
         for part, half in zip((first, second), halves, strict=True)
     ]
-    np.testing.assert_allclose(sum(parts), disagreement(MIXED, roles, CONFIG.trust), atol=1e-4)
+    np.testing.assert_allclose(
+        sum(parts), pattern_distance(MIXED, roles, ESTIMATOR.half_weight), atol=1e-4
+    )
 
 
 def test_the_estimate_is_the_same_to_the_bit():
-    first, second = (estimate(MIXED, MEANS, CONFIG).probability for _ in range(2))
+    first, second = (ESTIMATOR.from_masks(MIXED, MEANS).probability for _ in range(2))
     assert first.tobytes() == second.tobytes()
 
 
@@ -226,7 +229,7 @@ SURE = st.sampled_from([0.0, 0.3, 0.6, 1.0])
 
 
 def priors(count: int) -> st.SearchStrategy[Prior]:
-    """What may be known of so many Gaussians."""
+    """Priors of `count` Gaussians."""
     return st.builds(
         Prior,
         probability=hnp.arrays(np.float32, count, elements=SURE),
@@ -247,43 +250,45 @@ def test_any_evidence_gives_probabilities(views, count, data):
     )
     prior = data.draw(st.none() | priors(count))
     with np.errstate(over="ignore"):
-        found = find_robust(Evidence(total=total, tampered=total * share), means, CONFIG, prior)
+        found = ESTIMATOR.estimate_from_evidence(
+            Evidence(total=total, tampered=total * share), means, prior
+        )
     assert np.isfinite(found.tamper).all()
     assert np.isfinite(found.attribute).all()
     assert 0 <= found.tamper.min() <= found.tamper.max() <= 1
     known = (total.sum(0) > 0) | (prior is not None and prior.known & (prior.probability > 0))
-    assert not found.labels[~known].any(), "what nothing saw was found tampered"
+    assert not found.labels[~known].any(), "a Gaussian without evidence is labelled"
     assert found.verdict is not None
     assert 0 < found.verdict < 1
 
 
 @pytest.mark.usefixtures("nan_is_an_error")
-def test_no_nan_is_made_on_the_way():
-    estimate(MIXED, MEANS, CONFIG)
+def test_no_intermediate_value_is_nan():
+    ESTIMATOR.from_masks(MIXED, MEANS)
 
 
-def test_disagreement_counts_looks_that_contradict_a_pattern():
+def test_pattern_distance_counts_views_that_contradict_a_pattern():
     total = np.array([[8.0, 8.0], [8.0, 0.0]], np.float32)
     evidence = Evidence(total=total, tampered=np.array([[8.0, 2.0], [0.0, 0.0]], np.float32))
-    looked, flagged = looks_of(evidence, slice(None), 8.0)
+    looked, flagged = visibility(evidence, slice(None), 8.0)
     assert looked.tolist() == [[0.5, 0.5], [0.5, 0.0]]
     assert flagged.tolist() == [[0.5, 0.125], [0.0, 0.0]]
     roles = assign_roles(np.array([[0.1, 0.1], [0.9, 0.9]]), np.array([[9.0, 9.0], [1.0, 1.0]]))
     assert roles is not None
     # Authentic: what was flagged; tampered: what was not.
     expected = [[0.5, 0.5], [0.125, 0.375]]
-    assert disagreement(evidence, roles, 8.0).tolist() == expected
+    assert pattern_distance(evidence, roles, 8.0).tolist() == expected
 
 
 def decoy_in(views: int) -> Evidence:
-    """Masks that flag the decoy in some views: in few, as happens to authentic things, or most."""
+    """Masks that flag the decoy in the first views."""
     flagged = np.zeros((VIEWS, COUNT), bool)
     flagged[:views, KINDS == DECOY] = True
     return masked(flagged)
 
 
-def knowing(verdict: float, *, exact: bool = False) -> Prior:
-    """What the Gaussians say where they know the truth."""
+def true_prior(verdict: float, *, exact: bool = False) -> Prior:
+    """A prior that is correct."""
     own, known = np.where(TRUE, 0.99, 0.0), np.ones(COUNT, bool)
     return Prior(probability=own, verdict=verdict, known=known, exact=exact)
 
@@ -299,58 +304,60 @@ def knowing(verdict: float, *, exact: bool = False) -> Prior:
         (11, 0.9, True, True),
     ],
 )
-def test_the_gaussians_are_believed_as_far_as_the_masks_are_not(views, verdict, exact, decoy):
-    """What few views flag is a decoy; what nearly all flag is something."""
-    found = find_robust(decoy_in(views), MEANS, CONFIG, knowing(verdict, exact=exact))
+def test_the_prior_decides_where_masks_are_unreliable(views, verdict, exact, decoy):
+    """A region flagged in few views is a decoy; one flagged in nearly all views is an edit."""
+    found = estimate(decoy_in(views), prior=true_prior(verdict, exact=exact))
     seen, expected = TOTAL.sum(axis=0) > 0, KINDS == DECOY if decoy else TRUE
     assert np.array_equal(found.labels[seen], expected[seen])
     assert np.array_equal(found.labels[~seen], TRUE[~seen] & (verdict > 0.5))
     assert found.verdict is not None
     assert found.verdict >= verdict_of(decoy_in(views))
-    worth = "finds" if decoy else "misses"
-    assert set(found.reliability[:views]) == {worth}, "what masks are worth in finding what is"
-    overruled = "stand out" if decoy else "the masks agree on are not labelled"
-    assert any(overruled in said for said in found.warnings) == (verdict > 0.5)
+    word = "reliable" if decoy else "uninformative"
+    assert set(found.reliability[:views]) == {word}
+    overruled = "conspicuous" if decoy else "the masks agree on are not labelled"
+    assert any(overruled in text for text in found.warnings) == (verdict > 0.5)
 
 
-def test_what_no_view_flags_the_gaussians_may_name():
+def test_the_prior_may_label_what_no_view_flags():
     nothing = masked(np.zeros((VIEWS, COUNT), bool), noise=0)
-    found = find_robust(nothing, MEANS, CONFIG, knowing(0.9999))
+    found = estimate(nothing, prior=true_prior(0.9999))
     assert np.array_equal(found.labels, TRUE)
-    assert found.warnings == [f"{NOTHING} What is labelled is what the Gaussians themselves say."]
-    unsure = find_robust(nothing, MEANS, CONFIG, knowing(0.4))
+    assert found.warnings == [
+        f"{NONE_FLAGGED} The labels come from the attributes of the Gaussians."
+    ]
+    unsure = estimate(nothing, prior=true_prior(0.4))
     assert not unsure.labels.any()
     assert not unsure.tamper.any()
 
 
-def test_what_is_labelled_without_the_masks_is_counted():
+def test_labels_from_the_prior_are_counted_in_a_warning():
     masks = np.tile(TRUE & (np.cumsum(TRUE) % 2 == 0), (VIEWS, 1))
     unseen = TOTAL * (masks.any(axis=0) | ~TRUE)
-    found = find_robust(masked(masks, unseen), MEANS, CONFIG, knowing(0.9))
+    found = estimate(masked(masks, unseen), prior=true_prior(0.9))
     assert np.array_equal(found.labels, TRUE)
     more = (TRUE & ~masks[0]).sum()
-    assert any(said.startswith(f"{more} of {TRUE.sum()} labelled") for said in found.warnings)
+    assert any(text.startswith(f"{more} of {TRUE.sum()} labelled") for text in found.warnings)
     assert (found.attribute[TRUE] > 0).all()
 
 
-def test_a_view_that_shows_nothing_of_what_is_labelled_does_not_miss_it():
+def test_a_view_without_labelled_gaussians_is_unseen():
     away = TOTAL.copy()
     away[0, TRUE] = 0
-    found = find_robust(masked(np.tile(TRUE, (VIEWS, 1)), away), MEANS, CONFIG, knowing(0.9))
-    assert found.reliability == ("unseen", *["finds"] * (VIEWS - 1))
+    found = estimate(masked(np.tile(TRUE, (VIEWS, 1)), away), prior=true_prior(0.9))
+    assert found.reliability == ("unseen", *["reliable"] * (VIEWS - 1))
 
 
-def test_a_prior_without_weight_has_no_say():
-    config = dataclasses.replace(CONFIG, native=0.0)
+def test_a_prior_with_weight_0_changes_nothing():
+    estimator = dataclasses.replace(ESTIMATOR, prior_weight=0.0)
     with_prior, without = (
-        find_robust(decoy_in(4), MEANS, config, prior) for prior in (knowing(0.99), None)
+        estimate(decoy_in(4), estimator, prior) for prior in (true_prior(0.99), None)
     )
     np.testing.assert_array_equal(with_prior.tamper, without.tamper)
     assert with_prior.verdict == without.verdict
 
 
 @pytest.mark.parametrize("threshold", [0.01, 0.999999])
-def test_the_verdict_does_not_depend_on_where_labels_begin(threshold):
+def test_the_scene_probability_does_not_depend_on_the_threshold(threshold):
     evidence = masked(failing("mixture"))
-    changed = dataclasses.replace(CONFIG, threshold=threshold)
+    changed = dataclasses.replace(ESTIMATOR, threshold=threshold)
     assert verdict_of(evidence, changed) == verdict_of(evidence)

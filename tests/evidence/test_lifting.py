@@ -1,4 +1,4 @@
-"""The evidence: what two Gaussians must receive, bounds, and the gradient it stands for."""
+"""Evidence: values for two Gaussians, bounds, and equality with the gradient of the 2D loss."""
 
 import jax
 import jax.numpy as jnp
@@ -27,7 +27,7 @@ def test_a_hidden_gaussian_has_no_evidence_and_is_not_seen():
 
 
 @given(hnp.arrays(bool, (15, 17)))
-def test_what_is_tampered_is_part_of_what_is_seen(mask):
+def test_tampered_weight_is_part_of_the_total(mask):
     evidence = view_evidence(VIEW, mask)
     assert np.all(np.asarray(evidence.tampered) >= 0)
     unclamped = accumulate(VIEW, jnp.asarray(mask, jnp.float32)[..., None])[:, 0]
@@ -43,7 +43,7 @@ def test_the_weights_of_a_view_add_up_to_its_alpha():
 
 
 @given(hnp.arrays(bool, (15, 17)))
-def test_it_is_the_gradient_of_the_rendered_loss(mask):
+def test_the_gradient_from_evidence_is_that_of_the_rendered_loss(mask):
     def rendered_loss(r):
         return loss_2d(composite(VIEW, r[:, None])[..., 0], mask)
 
@@ -52,23 +52,23 @@ def test_it_is_the_gradient_of_the_rendered_loss(mask):
     np.testing.assert_allclose(jax.grad(rendered_loss)(r), gradient, rtol=1e-4, atol=1e-4)
 
 
-def test_what_any_view_sees_is_seen():
+def test_a_gaussian_is_seen_if_one_view_has_weight():
     total = np.array([[0, 1, 0], [0, 0, 2]], np.float32)
     assert Evidence(total=total, tampered=0 * total).seen.tolist() == [False, True, True]
 
 
 def test_large_evidence_lies_in_a_file_and_reads_the_same():
-    filled = [blank_evidence(3, 5, in_memory=limit) for limit in (0, 2**20)]
+    filled = [blank_evidence(3, 5, max_bytes_in_memory=limit) for limit in (0, 2**20)]
     on_disk, in_memory = filled
     assert isinstance(on_disk.total, np.memmap)
     assert not isinstance(in_memory.total, np.memmap)
     for evidence in filled:
-        assert evidence.says_nothing
+        assert evidence.none_flagged
         assert not evidence.seen.any()
         evidence.total[1], evidence.tampered[1] = np.arange(5), np.arange(5)
         assert evidence.seen.tolist() == [False, True, True, True, True]
-        assert evidence.says_everything
+        assert evidence.all_flagged
         evidence.tampered[1, 2] = 0
-        assert not evidence.says_nothing
-        assert not evidence.says_everything
+        assert not evidence.none_flagged
+        assert not evidence.all_flagged
     assert np.array_equal(on_disk.tampered, in_memory.tampered)

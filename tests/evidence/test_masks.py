@@ -1,4 +1,4 @@
-"""From the attribute to masks: the absolute threshold, and what the released rule does instead."""
+"""Masks of labels: the absolute threshold, and the rule of the released code."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -22,7 +22,7 @@ def test_scores_lie_in_the_unit_interval_and_keep_the_order(attribute):
 
 @pytest.mark.usefixtures("nan_is_an_error")
 @pytest.mark.parametrize("attribute", [np.zeros(3), -np.ones(3), np.array([-2.0, -1, 0])])
-def test_no_positive_attribute_means_no_score(attribute):
+def test_scores_without_a_positive_attribute_are_0(attribute):
     assert normalise(attribute.astype(np.float32)).tolist() == [0, 0, 0]
 
 
@@ -31,10 +31,10 @@ def test_the_mask_shows_the_tampered_gaussian_and_not_the_other(rule):
     scene = blobs([LEFT, RIGHT], opacity=0.9)
     mask = view_mask(scene, CAMERA, np.array([1.0, 0.0]), np.array([True, False]), rule=rule)
     assert mask[8, :16].any(), "the tampered Gaussian is invisible"
-    assert not mask[8, 20:].any(), "the authentic Gaussian is marked"
+    assert not mask[8, 20:].any(), "the authentic Gaussian is in the mask"
 
 
-def test_the_released_rule_looks_through_what_hides_the_object_and_ours_does_not():
+def test_only_the_released_rule_ignores_occlusion():
     scene = blobs([[0, 0, 1], [0, 0, 1], [0, 0, 1], [0, 0, 3]], opacity=0.99, scale=0.5)
     labels = np.array([False, False, False, True])
     attribute = labels.astype(np.float32)
@@ -42,7 +42,7 @@ def test_the_released_rule_looks_through_what_hides_the_object_and_ours_does_not
     assert not view_mask(scene, CAMERA, attribute, labels, rule="share").any()
 
 
-def test_the_released_rule_lifts_noise_to_one_where_the_object_is_not_in_view_and_ours_does_not():
+def test_only_the_released_rule_lifts_noise_to_1_in_views_without_the_object():
     scene = blobs([RIGHT, LEFT], opacity=0.9)
     labels, attribute = np.array([True, True]), np.array([1.0, 0.005])
     right_is_outside = camera(16, 17, focal=20.0)
@@ -55,7 +55,7 @@ def test_the_released_rule_lifts_noise_to_one_where_the_object_is_not_in_view_an
 
 @pytest.mark.usefixtures("nan_is_an_error")
 @pytest.mark.parametrize("rule", ["share", "attribute", "per-view"])
-def test_nothing_tampered_is_an_empty_mask(rule):
+def test_without_labels_the_mask_is_empty(rule):
     scene = blobs([LEFT])
     mask = view_mask(scene, CAMERA, np.zeros(1), np.zeros(1, bool), rule=rule)
     assert mask.shape == (17, 33)
@@ -64,7 +64,7 @@ def test_nothing_tampered_is_an_empty_mask(rule):
 
 
 @pytest.mark.usefixtures("nan_is_an_error")
-def test_the_share_is_relative_to_what_the_pixel_shows_and_zero_where_it_shows_nothing():
+def test_the_share_is_relative_to_alpha_and_0_on_empty_pixels():
     scene = blobs([LEFT, LEFT], opacity=0.5)
     share = rendered_share(scene, CAMERA, np.array([1.0, 0.0]))
     assert share[8, 11] == pytest.approx(1 / (1 + 0.5), rel=0.05)

@@ -13,9 +13,9 @@ CAMERA = camera(64, 48, focal=60.0)
 WALL = [[x, y, 4.0] for x in np.linspace(-3, 3, 25) for y in np.linspace(-2.4, 2.4, 19)]
 
 
-def painted(thing_at):
-    """A grey wall, and a small white thing before it."""
-    scene = blobs([*WALL, thing_at], opacity=0.95, scale=0.12)
+def painted(ball_at):
+    """A grey wall, and a small white ball in front of it."""
+    scene = blobs([*WALL, ball_at], opacity=0.95, scale=0.12)
     sh = np.array(scene.sh)
     sh[:-1] += np.random.default_rng(0).normal(0, 0.3, sh[:-1].shape)
     sh[-1] = 1.7
@@ -30,19 +30,19 @@ def picture(scene):
     return np.asarray(render(scene, CAMERA)[0])
 
 
-def test_the_authentic_scene_is_authentic():
+def test_nothing_is_flagged_in_the_authentic_scene():
     assert (DETECTOR(picture(AUTHENTIC), CAMERA) < 0.5).all()
 
 
-def test_where_the_thing_was_and_is_is_flagged_and_nothing_else():
-    said = DETECTOR(picture(TAMPERED), CAMERA)
-    assert said.dtype == np.float32
-    assert said.shape == (48, 64)
+def test_the_old_and_the_new_place_are_flagged_and_nothing_else():
+    probability = DETECTOR(picture(TAMPERED), CAMERA)
+    assert probability.dtype == np.float32
+    assert probability.shape == (48, 64)
     places = np.zeros((48, 64), bool)
     for column in (16, 48):
-        assert said[24, column] > 0.5, "the moved thing is not found"
+        assert probability[24, column] > 0.5, "the moved ball is missed"
         places[14:34, column - 10 : column + 10] = True
-    assert not (said > 0.5)[~places].any()
+    assert not (probability > 0.5)[~places].any()
 
 
 def f1(detector):
@@ -51,7 +51,7 @@ def f1(detector):
     return 2 * (flagged & truth).sum() / (flagged.sum() + truth.sum())
 
 
-def test_noise_and_blur_make_it_worse():
+def test_noise_and_blur_reduce_f1():
     found = {name: f1(row.of_detector(DETECTOR, seed=0)) for name, row in DISTORTIONS.items()}
     assert found["none"] == 1
     assert found["noise"] < 0.99
@@ -66,11 +66,11 @@ def test_level_is_where_probability_passes_one_half(level):
     brighter = (original * 0.5 + 0.5 * np.minimum(original + 0.4, 1)).astype(np.float32)
     sharp = DifferenceDetector(AUTHENTIC, level=level, smooth=0.0)
     difference = np.abs(brighter.astype(np.float64) - original).mean(axis=-1)
-    said, clear = sharp(brighter, CAMERA), np.abs(difference - level) > 1e-6
-    np.testing.assert_array_equal((said > 0.5)[clear], (difference > level)[clear])
+    probability, clear = sharp(brighter, CAMERA), np.abs(difference - level) > 1e-6
+    np.testing.assert_array_equal((probability > 0.5)[clear], (difference > level)[clear])
 
 
-def test_smoothing_forgives_single_pixels():
+def test_smoothing_ignores_single_pixels():
     image = picture(AUTHENTIC)
     image = image.copy()
     image[10, 10] = 1 - image[10, 10].round()
@@ -78,7 +78,7 @@ def test_smoothing_forgives_single_pixels():
     assert not (DETECTOR(image, CAMERA) > 0.5).any()
 
 
-def test_it_is_a_detector_for_all_cameras_that_asks_for_the_right_image():
+def test_it_implements_the_detector_protocol():
     detector: Detector = DETECTOR
     assert detector.needs_image
     assert detector.select([CAMERA, CAMERA]) == [CAMERA, CAMERA]

@@ -1,4 +1,4 @@
-"""Saving a scene again must treat all rows alike and change little."""
+"""Requantisation treats all rows alike and changes values little."""
 
 import dataclasses
 
@@ -11,7 +11,7 @@ from gsc_jax.benchmark.scenes import make_room
 ROOM = make_room(count=1_000, seed=1)
 
 
-def test_eight_bits_leave_few_values_and_float_many():
+def test_8_bits_leave_few_values_and_float_many():
     coarse, fine = exported(ROOM), exported(ROOM, as_="float")
     assert len(np.unique(coarse.log_scales)) < 200 < 2_000 < len(np.unique(fine.log_scales))
     assert len(np.unique(coarse.opacities)) <= 256
@@ -28,15 +28,15 @@ def test_values_change_by_a_step_at_most(as_):
     assert saved.log_scales.dtype == saved.quats.dtype == np.float32
 
 
-def test_a_lattice_that_some_rows_were_on_is_gone():
+def test_an_earlier_quantisation_of_some_rows_is_hidden():
     scales = np.array(ROOM.log_scales)
     scales[::2] = np.round(scales[::2] / SCALE_STEP) * SCALE_STEP
     saved = np.asarray(exported(dataclasses.replace(ROOM, log_scales=scales)).log_scales)
     moved = np.abs(saved - scales) > 1e-4
-    assert 0.15 < moved[::2].mean() < 0.35, "a triangle has a quarter of itself beyond half a step"
+    assert 0.15 < moved[::2].mean() < 0.35, "a quarter of triangular noise exceeds half a step"
     assert np.abs(saved / SCALE_STEP - np.round(saved / SCALE_STEP)).max() < 1e-3
 
 
-def test_the_seed_decides():
+def test_the_seed_determines_the_noise():
     np.testing.assert_array_equal(exported(ROOM, seed=4).sh, exported(ROOM, seed=4).sh)
     assert (exported(ROOM, seed=4).sh != exported(ROOM, seed=5).sh).any()

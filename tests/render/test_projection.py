@@ -1,4 +1,4 @@
-"""The projection against the float64 reference, and what it does with rows nobody can render."""
+"""The projection: the float64 reference, laws, and rows that cannot be rendered."""
 
 import dataclasses
 
@@ -16,18 +16,18 @@ from gsc_jax.scene import invalid_rows
 
 SIZES = [(1, 1), (15, 17), (33, 1), (17, 33)]
 CLOSE_TO_THE_BORDER = 1e-3
-"""Pixels within which rounding may decide whether a splat touches the image."""
+"""Distance in pixels within which rounding may decide whether a splat touches the image."""
 
 
 def visible_in(expected: reference.Projection, width: int, height: int, *, margin: float):
-    """Which Gaussians the reference sees when the image is `margin` pixels larger all around."""
+    """Mask of the visible Gaussians of an image that is `margin` pixels larger on each side."""
     low, high = expected.means - expected.extents, expected.means + expected.extents
     touches = (high > -margin).all(axis=1) & (low < np.array([width, height]) + margin).all(axis=1)
     return expected.in_front & touches & (expected.opacities > MIN_ALPHA)
 
 
 def tilted(width: int, height: int):
-    """A camera that is rotated, moved, and has its principal point off the centre."""
+    """A rotated and moved camera with its principal point off the centre."""
     view = np.eye(4)
     view[:3, :3] = reference.rotations(np.array([[0.95, 0.15, -0.2, 0.1]]))[0]
     view[:3, 3] = [0.2, -0.1, 0.3]
@@ -37,7 +37,7 @@ def tilted(width: int, height: int):
 
 
 @pytest.mark.parametrize("size", SIZES)
-def test_splats_are_those_of_the_reference(size):
+def test_splats_agree_with_the_reference(size):
     gaussians, view = random_scene(200), tilted(*size)
     splats, expected = project(gaussians, view), reference.project(gaussians, view)
     seen = np.asarray(splats.visible)
@@ -53,7 +53,7 @@ def test_splats_are_those_of_the_reference(size):
 
 
 @pytest.mark.parametrize("size", SIZES)
-def test_visible_is_what_touches_the_image(size):
+def test_visible_splats_are_those_that_touch_the_image(size):
     gaussians, view = random_scene(200, seed=1), tilted(*size)
     seen = np.asarray(project(gaussians, view).visible)
     expected = reference.project(gaussians, view)
@@ -73,21 +73,21 @@ def test_whitening_gives_the_exponent_of_any_needle(aspect):
     a, b, c = np.asarray(splats.whitening, np.float64)[seen].T
     matrix = np.stack([np.stack([a, b], -1), np.stack([0 * c, c], -1)], axis=1)
     product = 2 * matrix.transpose(0, 2, 1) @ matrix @ expected.covs[seen]
-    # Entries of the covariance reach aspect^2, so the identity comes out to that times rounding.
+    # The error is relative to the entries of the covariance, which reach aspect^2.
     size = np.linalg.norm(expected.covs[seen], axis=(1, 2))
     worst = np.abs(product - np.eye(2)).max(axis=(1, 2)) / np.maximum(size, 1)
     assert len(seen) > 5
     assert worst.max() < 1e-5
 
 
-def test_the_near_plane_cuts_what_is_closer():
+def test_gaussians_closer_than_the_near_plane_are_invisible():
     gaussians = blobs([[0, 0, z] for z in (-1, 0, 0.1, 0.19, 0.21, 1)])
     assert project(gaussians, camera()).visible.tolist() == [False] * 4 + [True] * 2
     assert project(gaussians, camera(), near=0.05).visible.tolist() == [False] * 2 + [True] * 4
     assert project(gaussians, camera(), near=0.5).visible.tolist() == [False] * 5 + [True]
 
 
-def test_a_gaussian_too_faint_for_any_pixel_is_invisible():
+def test_a_gaussian_with_opacity_below_1_in_255_is_invisible():
     faint, enough = (blobs([0, 0, 2], opacity=o) for o in (0.99 / 255, 1.01 / 255))
     assert not project(faint, camera()).visible[0]
     assert project(enough, camera()).visible[0]
@@ -114,14 +114,14 @@ def test_a_row_that_cannot_be_rendered_is_invisible_and_finite(field, value):
 
 
 @pytest.mark.parametrize(("field", "value"), [(f, v) for f, values in ROWS.items() for v in values])
-def test_rows_that_loading_drops_are_invisible_here_too(field, value):
+def test_invalid_rows_are_invisible(field, value):
     broken = with_row(blobs([[0, 0, 2], [0, 0.1, 2]]), field, value)
     dropped = np.any(list(invalid_rows(broken).values()), axis=0)
     assert not (dropped & np.asarray(project(broken, camera()).visible)).any()
 
 
 @pytest.mark.usefixtures("nan_is_an_error")
-def test_extreme_but_legal_rows_are_rendered():
+def test_extreme_but_valid_rows_are_visible():
     ordinary = blobs([0, 0, 2], opacity=0.9)
     opaque = project(with_row(ordinary, "logit_opacities", np.inf), camera())
     assert opaque.visible[0]
@@ -144,7 +144,7 @@ def test_a_huge_gaussian_covers_the_image(log_scale):
 
 
 def test_the_jacobian_is_clamped_outside_the_field_of_view():
-    """Just before the near plane and far aside, the linear map would smear over the image."""
+    """Far aside and close to the near plane, the linear map would spread over the image."""
     aside = blobs([[1.5, 0, 0.25], [3.0, 0, 0.25], [3.0, -2.0, 0.25]], opacity=0.9, scale=0.8)
     splats, expected = project(aside, camera()), reference.project(aside, camera())
     covs = expected.covs[:, [0, 0, 1], [0, 1, 1]]
@@ -164,7 +164,7 @@ def test_scaling_or_negating_quaternions_changes_nothing(gaussians, factor):
     np.testing.assert_allclose(after.whitening, before.whitening, rtol=1e-3, atol=1e-5)
 
 
-def test_centers_alone_are_the_means_of_the_splats():
+def test_projected_centers_agree_with_the_reference():
     gaussians, view = random_scene(50), tilted(17, 33)
     means, depths = project_centers(jnp.asarray(gaussians.means), view.viewmat, view.K)
     expected = reference.project(gaussians, view)

@@ -1,4 +1,4 @@
-"""Colours against harmonics made of associated Legendre functions."""
+"""Colours against a reference with associated Legendre functions, and the laws of rotation."""
 
 import dataclasses
 
@@ -27,31 +27,31 @@ def test_colors_are_those_of_the_reference(degree):
     assert (expected == 0).any(), "no colour reaches the clamp at 0"
 
 
-def test_colors_depend_on_where_the_camera_stands():
+def test_colors_depend_on_the_position_of_the_camera():
     gaussians = random_scene(50, degree=1)
     here = sh.colors(gaussians.sh, gaussians.means, CENTER)
     there = sh.colors(gaussians.sh, gaussians.means, -10 * CENTER)
     assert np.abs(here - there).max() > 0.1
 
 
-def test_a_plain_color_is_stored_over_the_constant_harmonic():
+def test_a_uniform_color_is_stored_over_the_constant_harmonic():
     color = np.array([[0.1, 0.5, 1.2]], np.float32)
     stored = (color[:, None] - 0.5) / np.float32(sh.Y0)
     np.testing.assert_allclose(sh.colors(stored, CENTER[None] + 1, CENTER), color, atol=1e-6)
 
 
 @given(floats((5, 3), -1, 1))
-def test_harmonics_of_the_opposite_direction_have_the_parity_of_their_band(directions):
+def test_harmonics_have_the_parity_of_their_band(directions):
     directions = jnp.asarray(directions)
     bands = np.repeat([0, 1, 2, 3], [1, 3, 5, 7])
     there, back = sh.basis(directions, 3), sh.basis(-directions, 3)
-    # Band 0 and 2 are even, 1 and 3 odd; exact, for only signs change.
+    # Bands 0 and 2 are even, 1 and 3 odd; exact, because only signs change.
     np.testing.assert_array_equal(back, there * (-1.0) ** bands[None].astype(np.float32))
 
 
 @pytest.mark.usefixtures("nan_is_an_error")
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 3e38, -3e38])
-def test_colors_are_finite_whatever_is_stored(value):
+def test_colors_are_finite_for_any_stored_value(value):
     gaussians = random_scene(4, degree=3)
     coefficients = np.array(gaussians.sh)
     coefficients[1] = value
@@ -65,20 +65,20 @@ def test_colors_are_finite_whatever_is_stored(value):
 
 
 @pytest.mark.usefixtures("nan_is_an_error")
-def test_a_gaussian_where_the_camera_stands_has_its_plain_color():
+def test_a_gaussian_at_the_camera_has_its_constant_color():
     gaussians = random_scene(4, degree=3)
     color = sh.colors(gaussians.sh, gaussians.means, gaussians.means[2])[2]
     np.testing.assert_allclose(color, 0.5 + sh.Y0 * gaussians.sh[2, 0], atol=1e-6)
 
 
 @pytest.mark.parametrize("degree", [-1, 4])
-def test_other_degrees_are_refused(degree):
+def test_degrees_outside_0_to_3_are_refused(degree):
     with pytest.raises(ValueError, match=f"0 to 3, got {degree}"):
         sh.basis(jnp.ones((1, 3)), degree)
 
 
 @given(motions(), st.integers(0, 3))
-def test_rotated_harmonics_show_from_the_turned_direction_what_was_seen_before(motion, degree):
+def test_rotated_harmonics_move_the_color_to_the_rotated_direction(motion, degree):
     R = Rotation.from_quat(motion[0], scalar_first=True).as_matrix()
     scene = random_scene(6, degree=degree)
     directions = np.random.default_rng(0).normal(size=(6, 3))
@@ -91,7 +91,7 @@ def test_rotated_harmonics_show_from_the_turned_direction_what_was_seen_before(m
     np.testing.assert_allclose(after, before, atol=5e-6)
 
 
-def test_rotation_mixes_harmonics_of_a_band_only():
+def test_rotation_mixes_only_harmonics_of_the_same_band():
     scene = random_scene(4, degree=3)
     turned = np.asarray(sh.rotate(scene.sh, Rotation.from_euler("x", 50, degrees=True).as_matrix()))
     np.testing.assert_allclose(turned[:, 0], scene.sh[:, 0], atol=1e-6)

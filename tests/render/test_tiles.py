@@ -1,4 +1,4 @@
-"""The tile lists against brute force: every pair that matters, no other, in depth order."""
+"""The tile lists against brute force: all pairs that contribute, no others, in depth order."""
 
 import dataclasses
 from typing import SupportsIndex
@@ -11,7 +11,7 @@ import reference
 from strategies import blobs, camera, random_scene
 
 from gsc_jax.render.projection import project
-from gsc_jax.render.tiles import TILE, _ends, bin_splats, make_view, restricted
+from gsc_jax.render.tiles import TILE, bin_splats, make_view, restricted
 from gsc_jax.scene import InputError
 from gsc_jax.splat import composite
 
@@ -42,9 +42,9 @@ def listed(lists, tiles: int, count: int) -> np.ndarray:
 
 
 def largest_alphas(gaussians, view) -> tuple[np.ndarray, np.ndarray]:
-    """Largest alpha of every splat in every tile, (tiles, N): at a pixel centre, and anywhere.
+    """Largest alpha of every splat in every tile, (tiles, N).
 
-    Anywhere means inside the rectangle that the pixel centres of the tile span.
+    First over the pixel centres, then over the rectangle that the pixel centres span.
     """
     projection = reference.project(gaussians, view)
     columns, rows = -(-view.width // TILE), -(-view.height // TILE)
@@ -62,12 +62,12 @@ def largest_alphas(gaussians, view) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _nearest_in_box(projection, i: SupportsIndex, low, high) -> np.ndarray:
-    """Points of a box among which is that of the largest alpha: the centre, or one of each side."""
+    """Candidates for the point of a box with the largest alpha: the mean, or one per side."""
     mean = projection.means[i]
     if (low <= mean).all() and (mean <= high).all():
         return mean[None]
     (a, b), (_, c) = projection.covs[i]
-    # On a side x = const the exponent is least at dy = dx b / a, and alike on y = const.
+    # On a side x = const the exponent is smallest at dy = dx b / a; similarly on y = const.
     points = [
         (x, np.clip(mean[1] + (x - mean[0]) * b / a, low[1], high[1])) for x in (low[0], high[0])
     ]
@@ -86,9 +86,9 @@ def test_lists_are_exact(scene, size):
     table = listed(lists, *at_pixels.shape)
     assert lists.counts.sum() == table.sum(), "a splat is listed twice in a tile"
     missing = (at_pixels > reference.MIN_ALPHA * (1 + MARGIN)) & ~table
-    assert not missing.any(), f"{missing.sum()} pairs that matter are not listed"
+    assert not missing.any(), f"{missing.sum()} pairs that contribute are not listed"
     needless = (anywhere < reference.MIN_ALPHA * (1 - MARGIN)) & table
-    assert not needless.any(), f"{needless.sum()} pairs are listed whose ellipse misses the tile"
+    assert not needless.any(), f"{needless.sum()} listed ellipses miss their tile"
 
 
 def test_almost_every_listed_pair_covers_a_pixel():
@@ -102,7 +102,7 @@ def test_almost_every_listed_pair_covers_a_pixel():
 
 
 @pytest.mark.parametrize("size", SIZES)
-def test_lists_follow_one_another_and_are_in_depth_order(size):
+def test_lists_are_contiguous_and_in_depth_order(size):
     gaussians, view = SCENES["blobs"], camera(*size)
     splats = project(gaussians, view)
     lists, depths = bin_splats(splats, *size), np.asarray(splats.depths)
@@ -116,7 +116,7 @@ def test_lists_follow_one_another_and_are_in_depth_order(size):
     }
 
 
-def test_ties_in_depth_are_by_index():
+def test_equal_depths_are_ordered_by_index():
     places = np.tile([0.0, 0, 2], (300, 1))
     places[::3, 2] = 1.5
     lists = bin_splats(project(blobs(places), camera(8, 8)), 8, 8)
@@ -124,8 +124,8 @@ def test_ties_in_depth_are_by_index():
     np.testing.assert_array_equal(lists.ids, expected)
 
 
-def test_a_lever_of_a_needle_reaches_past_every_integer():
-    """Almost horizontal, the needle leaves a strip of tiles some 1e13 pixels away."""
+def test_tile_ranges_beyond_the_integers_are_clipped():
+    """The almost horizontal needle leaves a row of tiles only after some 1e13 pixels."""
     needle = dataclasses.replace(
         blobs([0, 0.1, 2.0], opacity=0.9),
         log_scales=np.array([[38, -7, -7]], np.float32),
@@ -138,38 +138,31 @@ def test_a_lever_of_a_needle_reaches_past_every_integer():
 
 
 @pytest.mark.parametrize("places", [np.zeros((0, 3)), [[0, 0, -2], [50, 0, 2]]])
-def test_nothing_visible_gives_empty_lists(places):
+def test_a_view_without_visible_splats_has_empty_lists(places):
     lists = bin_splats(project(blobs(places), camera(17, 15)), 17, 15)
     assert lists.counts.tolist() == lists.starts.tolist() == [0] * 6
     assert len(lists.ids) == 0
 
 
-def test_a_restricted_view_blends_the_wanted_splats_as_the_whole_one_does():
+def test_a_restricted_view_gives_the_same_image_of_the_selected_splats():
     gaussians, view = random_scene(300, seed=4), camera(65, 47)
-    wanted = np.zeros(300, bool)
-    wanted[::60] = True
-    features = jnp.asarray(wanted, jnp.float32)[:, None]
+    selected = np.zeros(300, bool)
+    selected[::60] = True
+    features = jnp.asarray(selected, jnp.float32)[:, None]
     whole = make_view(gaussians, view)
-    part = restricted(whole, wanted)
+    part = restricted(whole, selected)
     image = composite(whole, features)
-    assert image.any(), "the wanted splats are invisible"
+    assert image.any(), "the selected splats are invisible"
     np.testing.assert_array_equal(composite(part, features), image)
     assert np.count_nonzero(part.counts) < np.count_nonzero(whole.counts)
     assert not np.any(restricted(whole, np.zeros(300, bool)).counts)
-    np.testing.assert_array_equal(composite(restricted(part, wanted), features), image)
+    np.testing.assert_array_equal(composite(restricted(part, selected), features), image)
     everything = restricted(whole, np.ones(300, bool))
     for leaf, other in zip(jax.tree.leaves(everything), jax.tree.leaves(whole), strict=True):
         np.testing.assert_array_equal(leaf, other)
 
 
-def test_more_intersections_than_can_be_counted_are_one_clear_error():
-    widths = np.full(3, 2**27, np.int32)
-    with pytest.raises(InputError, match=r"touch 402,653,184 tiles.*scales"):
-        _ends(widths)
-    assert _ends(widths[:2]).tolist() == [0, 2**27, 2**28]
-
-
-def test_scenes_of_absurd_scales_are_refused_before_they_fill_the_memory():
+def test_scenes_with_too_many_intersections_are_refused():
     everywhere = blobs(np.tile([[0.0, 0.0, 2.0]], (30_000, 1)), scale=1e3)
     with pytest.raises(InputError, match="scales right"):
         make_view(everywhere, camera(960, 720))

@@ -1,1 +1,1 @@
-"""The pieces of report.html: charts, small pictures, and the page itself."""
+"""report.html: one page about a run of `locate`."""

@@ -1,211 +1,123 @@
-"""report.html: what a person is shown who was handed a scene and a folder of results.
+"""report.html: one page that explains a result to a person.
 
-One file that needs nothing else: pictures are small and inside of it, the large ones are taken from
-the folder where that is there, and a policy in the page forbids the network. Everything on the page
-is HTML before any script runs; the script adds the stage, sorting and keys. Names of cameras and
-files come from outside, so all of the text is escaped by the template, and none of it is in the
-script or the style sheet, which are our own.
+The page is complete in one file: thumbnails are embedded, full images are loaded from the folder
+beside it if present, and a content security policy forbids the network and foreign scripts. The
+HTML is complete without JavaScript; the script adds a large image, sorting and keys. Names of
+cameras and files are foreign text: the template escapes them, and none is in script or style sheet.
 """
 
 import base64
-import dataclasses
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 from gsc_jax.cli.located import Located
-from gsc_jax.cli.report.charts import (
-    Chart,
-    attribute_chart,
-    groups_chart,
-    property_charts,
-    views_chart,
-)
-from gsc_jax.cli.report.thumbnails import LAYERS, Picture, pictures, url
-from gsc_jax.cli.report.wording import (
-    TRACES,
-    WORTH,
-    effort_sentence,
-    found_sentence,
-    headline,
-    percent,
-    share,
-    traces_found,
-)
+from gsc_jax.cli.report import wording
+from gsc_jax.cli.report.charts import attribute_charts, score_histogram
+from gsc_jax.cli.report.thumbnails import LAYERS, Thumbnail, thumbnails, url
 from gsc_jax.cli.staging import OUTPUTS
-from gsc_jax.evidence.monitor import Progress, silent
+from gsc_jax.evidence.monitor import Monitor
 
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class View:
-    """A view of the page.
-
-    Attributes:
-        number: Place in the order of the cameras, from 1.
-        name: Of the camera.
-        width: Of its image, in pixels.
-        height: Of its image, in pixels.
-        found: Share of it that is tampered.
-        said: Share of it that the detector flagged; None where it was not asked.
-        worth: What its mask is worth, a key of `WORTH`, or None.
-        pictures: The layers that there are.
-    """
-
-    number: int
-    name: str
-    width: int
-    height: int
-    found: float
-    said: float | None
-    worth: str | None
-    pictures: list[Picture]
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class File:
-    """A file of the folder, or a folder in it.
-
-    Attributes:
-        name: As people read it.
-        url: Relative to the page.
-        what: What it is.
-    """
-
-    name: str
-    url: str
-    what: str
+COUNTS = {
+    "rows": "Rows of the file",
+    "gaussians": "Gaussians that can be rendered",
+    "seen": "Visible Gaussians",
+    "unseen": "Gaussians that no view shows",
+    "tampered": "Gaussians labelled as tampered",
+}
+"""Title of each entry of `counts` in result.json."""
 
 
 def report_page(
-    folder: Path, report: Mapping[str, Any], located: Located, *, progress: Progress = silent
+    folder: Path, report: Mapping[str, Any], located: Located, *, monitor: Monitor | None = None
 ) -> str:
-    """The page on a run.
+    """Render the page of a run.
 
     Args:
-        folder: Where its pictures are.
-        report: The content of result.json.
+        folder: Folder with the images of the run.
+        report: Content of result.json.
         located: The run.
-        progress: Called with (stage, done, total).
+        monitor: Receives the progress over views.
 
     Returns:
-        HTML that is complete by itself.
+        A complete HTML document.
     """
-    result = located.result
-    views = list(_views(folder, report, progress))
-    present = {picture.layer for view in views for picture in view.pictures}
+    result, counts = located.result, report["counts"]
+    images = _images(folder, report["per_view"], monitor or Monitor())
+    present = {image.layer for view in images for image in view}
     style, script = _text("report.css"), _text("report.js")
     return _template().render(
         report=report,
         result=result,
-        headline=headline(report["verdict"], report["counts"]["tampered"]),
-        found=found_sentence(
-            report["counts"]["tampered"],
-            report["counts"]["gaussians"],
+        wording=wording,
+        headline=wording.headline(report["verdict"], counts["tampered"]),
+        lead=wording.labels_sentence(
+            counts["tampered"],
+            counts["gaussians"],
             verdict=report["verdict"],
             views=report["views"],
             covered=report["tampered_share_of_views"],
         ),
-        effort=effort_sentence(result),
-        traces=sorted(result.native.traces, key=lambda t: not t.found) if result.native else [],
-        traces_found=traces_found(result),
-        trace_words=TRACES,
-        views=views,
-        layers=[layer for layer in LAYERS if layer.name in present],
-        worth=WORTH,
-        charts=_charts(report, located),
-        properties=property_charts(located.scene.gaussians, result),
+        traces=sorted(getattr(result.prior, "traces", ()), key=lambda trace: not trace.found),
+        views=list(zip(report["per_view"], images, strict=True)),
+        layers={name: title for name, title in LAYERS.items() if name in present},
+        histogram=score_histogram(result),
+        attributes=attribute_charts(located.scene.gaussians, result),
         files=_files(folder, report["outputs"]),
-        counts=_counts(report, located),
-        tables={
-            "Configuration": _flat(report["config"]),
-            "Command": _flat(_asked_for(report["command"])),
-            "Versions": _flat(report["versions"]),
-        },
+        tables=_tables(report),
         style=style,
         script=script,
         script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
     )
 
 
-def _asked_for(command: Mapping[str, Any]) -> dict[str, Any]:
-    """The options that say something, of which the rest is left to the method."""
-    left = [name for name, said in command.items() if said is None or said is False or said == []]
-    return {name: said for name, said in command.items() if name not in left}
+def _images(folder: Path, views: list[dict[str, Any]], monitor: Monitor) -> list[list[Thumbnail]]:
+    images = []
+    monitor.progress("report", 0, len(views))
+    for view in thumbnails(folder, views):
+        images.append(view)
+        monitor.progress("report", len(images), len(views))
+    return images
 
 
-def _views(folder: Path, report: Mapping[str, Any], progress: Progress) -> Iterator[View]:
-    told = report["per_view"]
-    progress("report", 0, len(told))
-    for number, (view, layers) in enumerate(
-        zip(told, pictures(folder, told), strict=True), start=1
-    ):
-        yield View(
-            number=number,
-            name=view["name"],
-            width=view["width"],
-            height=view["height"],
-            found=view["tampered_share"],
-            said=view["detector_share"],
-            worth=view["reliability"],
-            pictures=layers,
-        )
-        progress("report", number, len(told))
-
-
-def _charts(report: Mapping[str, Any], located: Located) -> list[Chart]:
-    result = located.result
-    charts = (
-        attribute_chart(result),
-        views_chart(report["per_view"]),
-        groups_chart(result.group_sizes),
-    )
-    return [chart for chart in charts if chart]
-
-
-def _files(folder: Path, outputs: list[str]) -> list[File]:
-    """The files of the folder, and of folders their name only, as `OUTPUTS` has them."""
-    counts = {name: sum(path.startswith(name) for path in outputs) for name in OUTPUTS}
-    return [
-        File(
-            name=name,
-            url=url(folder / name, folder) + "/" * name.endswith("/"),
-            what=OUTPUTS[name] + (f" ({count})" if name.endswith("/") else ""),
-        )
-        for name, count in counts.items()
-        if count
-    ]
-
-
-def _counts(report: Mapping[str, Any], located: Located) -> list[tuple[str, str]]:
-    counts = report["counts"]
-    names = {
-        "rows": "Rows of the file",
-        "gaussians": "Gaussians that can be rendered",
-        "seen": "Gaussians that were seen",
-        "unseen": "Gaussians that were not seen",
-        "tampered": "Gaussians that are tampered",
-    }
-    rows = [(title, f"{counts[name]:,}") for name, title in names.items()]
-    rows += [(f"Left out: {reason}", f"{n:,}") for reason, n in counts["dropped"].items()]
-    rows += [
-        ("Views", f"{report['views']:,}"),
-        ("Views that a detector judged", f"{report['judged_views']:,}"),
-        ("Tampered share of the views, mean", share(located.visible_share)),
-    ]
+def _files(folder: Path, outputs: list[str]) -> list[tuple[str, str, str]]:
+    """Name, URL and description of each file and folder, in the order of `OUTPUTS`."""
+    rows = []
+    for name, description in OUTPUTS.items():
+        count = sum(path.startswith(name) for path in outputs)
+        if count and name.endswith("/"):
+            rows.append((name, f"{url(folder / name, folder)}/", f"{description} ({count})"))
+        elif count:
+            rows.append((name, url(folder / name, folder), description))
     return rows
+
+
+def _tables(report: Mapping[str, Any]) -> dict[str, list[tuple[str, str]]]:
+    """Rows of names and values of each table, by caption."""
+    counts = report["counts"]
+    rows = [(title, f"{counts[name]:,}") for name, title in COUNTS.items()]
+    rows += [(f"Left out: {reason}", f"{n:,}") for reason, n in counts["dropped"].items()]
+    options = {
+        name: value
+        for name, value in report["command"].items()
+        if value is not None and value is not False and value != []
+    }
+    return {
+        "Counts": rows,
+        "Configuration": _flat(report["config"]),
+        "Command": _flat(options),
+        "Versions": _flat(report["versions"]),
+    }
 
 
 def _flat(value: Any, name: str = "") -> list[tuple[str, str]]:
     """A nested configuration as rows of dotted names and values."""
     if isinstance(value, dict) and value:
-        return [
-            row
-            for key, entry in value.items()
-            for row in _flat(entry, f"{name}.{key}" if name else str(key))
-        ]
+        nested = ((f"{name}.{key}" if name else str(key), entry) for key, entry in value.items())
+        return [row for key, entry in nested for row in _flat(entry, key)]
     return [(name, value if isinstance(value, str) else json.dumps(value, ensure_ascii=False))]
 
 
@@ -220,5 +132,6 @@ def _template():
     environment = jinja2.Environment(
         autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
     )
-    environment.filters |= {"share": share, "percent": percent, "ours": Markup}
+    filters = {"share": wording.share, "percent": wording.percent, "trusted": Markup}
+    environment.filters |= filters
     return environment.from_string(_text("report.html"))

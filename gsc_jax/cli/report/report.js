@@ -1,72 +1,68 @@
 "use strict";
-// Adds to a page that is complete without it: a stage for one view, sorting, keys.
+// Adds a large image of one view, sorting and keys; the page is complete without them.
 {
   const strip = document.getElementById("strip");
   const stage = document.getElementById("stage");
   const frame = stage.querySelector(".frame");
-  const caption = stage.querySelector("figcaption");
-  const radios = [...document.querySelectorAll('input[name="layer"]')];
+  const small = document.getElementById("small");
   const sort = document.getElementById("sort");
-  const large = new Map();
-  let view = null;
+  const radios = [...document.querySelectorAll('input[name="layer"]')];
+  const cache = new Map(); // full images by URL
+  let view = null; // list item of the selected view
 
   const views = () => [...strip.children];
   const layer = () => radios.find((radio) => radio.checked).value;
-  const layerOf = (item, name) => item.querySelector(`[data-layer="${name}"]`);
+  const selected = () => view.querySelector(`[data-layer="${layer()}"]`);
 
-  // The large picture of a small one: it is looked for once, and may not be there.
-  function largeOf(small) {
-    const address = small.dataset.full;
-    if (!large.has(address)) {
-      const picture = new Image();
-      picture.onload = () => showing(small) && draw();
-      picture.onerror = () => {
-        picture.missing = true;
-        if (showing(small)) draw();
+  // The full image of a thumbnail; loaded once, and missing if the page was copied alone.
+  function fullImage(thumbnail) {
+    const address = thumbnail.dataset.full;
+    if (!cache.has(address)) {
+      const image = new Image();
+      image.onload = () => selected() === thumbnail && draw();
+      image.onerror = () => {
+        image.missing = true;
+        if (selected() === thumbnail) draw();
       };
-      picture.src = address;
-      large.set(address, picture);
+      image.src = address;
+      cache.set(address, image);
     }
-    return large.get(address);
+    return cache.get(address);
   }
 
-  const showing = (small) => view && layerOf(view, layer()) === small;
-  const ready = (picture) => picture.complete && picture.naturalWidth > 0;
-
   function draw() {
-    const small = layerOf(view, layer());
+    const thumbnail = selected();
     frame.style.aspectRatio = view.dataset.ratio;
-    document.getElementById("small").hidden = true;
-    if (small.localName !== "img") {
-      frame.replaceChildren(small.cloneNode(true));
+    small.hidden = true;
+    if (thumbnail.localName !== "img") {
+      frame.replaceChildren(thumbnail.cloneNode(true));
       return;
     }
-    const whole = largeOf(small);
+    const full = fullImage(thumbnail);
     const shown = frame.querySelector("img") || new Image();
-    shown.alt = small.alt;
-    shown.src = ready(whole) ? whole.src : small.src;
-    document.getElementById("small").hidden = !whole.missing;
+    shown.alt = thumbnail.alt;
+    shown.src = full.complete && full.naturalWidth ? full.src : thumbnail.src;
+    small.hidden = !full.missing;
     if (shown.parentNode !== frame) frame.replaceChildren(shown);
   }
 
-  function choose(next) {
+  function select(next) {
+    const focused = view && view.contains(document.activeElement);
     if (view) view.querySelector("a").removeAttribute("aria-current");
-    const follow = view && view.contains(document.activeElement);
     view = next;
     const link = view.querySelector("a");
     link.setAttribute("aria-current", "true");
-    if (follow) link.focus({ preventScroll: true });
-    caption.replaceChildren(view.querySelector(".facts").cloneNode(true));
+    if (focused) link.focus({ preventScroll: true });
+    stage.querySelector("figcaption").replaceChildren(view.querySelector(".facts").cloneNode(true));
     const order = views();
     document.getElementById("place").textContent = `${order.indexOf(view) + 1} of ${order.length}`;
-    reveal();
+    scrollStrip();
     draw();
-    // So that the other pictures of this view come at once when they are asked for.
-    view.querySelectorAll("img").forEach(largeOf);
+    view.querySelectorAll("img").forEach(fullImage); // so that other layers appear at once
   }
 
-  // Scrolls the strip, never the page.
-  function reveal() {
+  // Scroll the strip to the selected view; `scrollIntoView` would also scroll the page.
+  function scrollStrip() {
     const inner = view.getBoundingClientRect();
     const outer = strip.getBoundingClientRect();
     strip.scrollTop += Math.min(0, inner.top - outer.top) + Math.max(0, inner.bottom - outer.bottom);
@@ -75,40 +71,37 @@
 
   function step(by) {
     const order = views();
-    choose(order[(order.indexOf(view) + by + order.length) % order.length]);
+    select(order[(order.indexOf(view) + by + order.length) % order.length]);
   }
 
   function arrange() {
-    const key = sort.value;
-    const sign = key === "found" ? -1 : 1;
-    const by = (item) => [sign * Number(item.dataset[key]), Number(item.dataset.order)];
-    const order = views().sort((a, b) => by(a)[0] - by(b)[0] || by(a)[1] - by(b)[1]);
+    const sign = sort.value === "tampered" ? -1 : 1;
+    const rank = (item) => sign * Number(item.dataset[sort.value]);
+    const order = views().sort((a, b) => rank(a) - rank(b) || a.dataset.order - b.dataset.order);
     strip.replaceChildren(...order);
-    choose(view);
+    select(view);
   }
 
-  function press(event) {
-    if (event.ctrlKey || event.altKey || event.metaKey || event.defaultPrevented) return;
-    const where = event.target;
-    const number = Number(event.key);
-    if (where.localName === "select") return;
-    if (radios[number - 1]) {
-      radios[number - 1].checked = true;
+  function pressed(event) {
+    const target = event.target;
+    if (event.ctrlKey || event.altKey || event.metaKey || target.localName === "select") return;
+    const radio = radios[Number(event.key) - 1];
+    if (radio) {
+      radio.checked = true;
       draw();
-      return;
     }
     const by = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
-    // In a group of radio buttons the arrows choose the button, in a wide table they scroll it.
-    if (!by || where.localName === "input" || (where.closest && where.closest(".scroll"))) return;
+    // Arrows also select a radio button and scroll a wide table.
+    if (!by || target.localName === "input" || target.closest?.(".scroll")) return;
     event.preventDefault();
     step(by);
   }
 
-  function choosePicked(event) {
+  function clicked(event) {
     const link = event.target.closest("a");
     if (!link || event.ctrlKey || event.metaKey || event.shiftKey) return;
     event.preventDefault();
-    choose(link.parentNode);
+    select(link.parentNode);
   }
 
   document.body.classList.add("live");
@@ -118,12 +111,11 @@
   document.getElementById("previous").addEventListener("click", () => step(-1));
   document.getElementById("next").addEventListener("click", () => step(1));
   sort.addEventListener("change", arrange);
-  strip.addEventListener("click", choosePicked);
-  document.addEventListener("keydown", press);
+  strip.addEventListener("click", clicked);
+  document.addEventListener("keydown", pressed);
   window.addEventListener("beforeprint", () => {
     document.querySelectorAll("details").forEach((part) => (part.open = true));
   });
-  // The view that shows most of what was found comes first.
-  const most = views().reduce((a, b) => (Number(b.dataset.found) > Number(a.dataset.found) ? b : a));
-  choose(most);
+  // Start with the view in which the labelled Gaussians are largest.
+  select(views().reduce((a, b) => (+b.dataset.tampered > +a.dataset.tampered ? b : a)));
 }

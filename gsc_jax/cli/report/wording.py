@@ -1,4 +1,4 @@
-"""The words in which results are told: the same on the command line and in the report."""
+"""Sentences about results, shared by the command line, the report and the viewer."""
 
 import dataclasses
 from collections import Counter
@@ -9,209 +9,188 @@ from gsc_jax.estimators.protocol import Reliability
 from gsc_jax.forensics.traces import Trace
 from gsc_jax.locate import Result
 
-MASKS: dict[Reliability, str] = {
-    "finds": "finding it",
-    "misses": "missing it",
-    "inverted": "inverted",
-    "unseen": "of views without it",
-}
-"""What a mask is worth, in the words of a count."""
-
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Worth:
-    """What a mask is worth, for people.
-
-    Attributes:
-        sign: Tells it from the others without colour.
-        short: In two words, of one mask.
-        long: What it means, as a sentence.
-    """
+class Wording:
+    """How a value is shown: a sign without colour, a short name and an explanation."""
 
     sign: str
     short: str
-    long: str
+    explanation: str
 
 
-WORTH: dict[Reliability, Worth] = {
-    "finds": Worth(
-        sign="●", short="finds it", long="The mask flags what was found, where the view shows it."
+RELIABILITY: dict[Reliability, Wording] = {
+    "reliable": Wording(
+        sign="●",
+        short="reliable",
+        explanation="The view shows the edit, and the mask flags most of it.",
     ),
-    "inverted": Worth(
+    "inverted": Wording(
         sign="◇",
         short="inverted",
-        long="The mask flags everything else, and was read the other way round.",
+        explanation="The mask flags everything except the edit; it was used inverted.",
     ),
-    "misses": Worth(
+    "uninformative": Wording(
         sign="▽",
-        short="misses it",
-        long="The view shows what was found, the mask does not flag it.",
+        short="uninformative",
+        explanation="The view shows the edit, but the mask does not flag most of it.",
     ),
-    "unseen": Worth(sign="✕", short="not in view", long="The view does not show what was found."),
+    "unseen": Wording(
+        sign="✕", short="edit not in view", explanation="The view does not show the edit."
+    ),
 }
-"""What masks are worth, the best first."""
-PROBABLY = 0.65
-"""Below this, an edit is not spoken of without a doubt."""
-LIKELY: tuple[tuple[float, str], ...] = (
-    (0.99, "Almost certainly, something in this scene was tampered with."),
-    (0.9, "Very probably, something in this scene was tampered with."),
-    (PROBABLY, "Probably, something in this scene was tampered with."),
-    (1 - PROBABLY, "It is unclear whether anything in this scene was tampered with."),
-    (0.1, "Probably, nothing in this scene was tampered with."),
-    (0.0, "Very probably, nothing in this scene was tampered with."),
+"""Reliability of masks, the most useful first."""
+TRACES: dict[str, tuple[str, str]] = {
+    "copy-move": (
+        "Copy-move",
+        "Copying a part of a scene, for example to fill a hole, repeats the same stored values.",
+    ),
+    "quantisation": (
+        "Quantisation",
+        "A file that was saved with few digits holds rounded values only; values that are not "
+        "rounded were added later.",
+    ),
+    "sh-degree": (
+        "SH degree",
+        "One training gives all Gaussians the same degree of spherical harmonics; Gaussians of "
+        "another degree come from another model.",
+    ),
+    "row-order": (
+        "Row order",
+        "Training stores Gaussians in no spatial order; an object that was appended occupies "
+        "consecutive rows.",
+    ),
+    "quaternion-convention": (
+        "Quaternion convention",
+        "A program writes all rotations in one convention; rotations in another convention were "
+        "written by another program.",
+    ),
+}
+"""Title of each trace, and why it is evidence of an edit."""
+MIN_EDITED = 0.65
+"""Scene probability from which a sentence states an edit; the name of a level, not a measurement."""
+HEADLINES: tuple[tuple[float, str], ...] = (
+    (0.99, "This scene was almost certainly edited."),
+    (0.9, "This scene was very probably edited."),
+    (MIN_EDITED, "This scene was probably edited."),
+    (1 - MIN_EDITED, "It is unclear whether this scene was edited."),
+    (0.1, "This scene is probably authentic."),
+    (0.0, "This scene is very probably authentic."),
 )
-"""What a probability is called, down to which."""
+"""Lowest scene probability of each headline, in descending order."""
+ROUNDED_SHARE = 0.0005
+"""Shares closer to 0 or 1 are shown as a bound: one decimal of a percentage would hide them."""
 
 
 def percent(probability: float) -> str:
-    """A probability for people, which is never quite 0% or 100%."""
+    """Format a probability as a percentage, never as 0% or 100%."""
     bound = "<" if probability < 0.01 else ">" if probability > 0.99 else ""
     return f"{bound}{min(max(probability, 0.01), 0.99):.0%}"
 
 
 def share(part: float) -> str:
-    """A share for people, which is 0% only where there is nothing and 100% where there is all."""
-    if 0 < part < 0.0005 or 0.9995 <= part < 1:
+    """Format a share as a percentage; 0% and 100% mean exactly none and exactly all."""
+    if 0 < part < ROUNDED_SHARE or 1 - ROUNDED_SHARE <= part < 1:
         return "<0.1%" if part < 0.5 else ">99.9%"
     return f"{part:.0%}" if part in (0, 1) else f"{part:.1%}"
 
 
-def headline(verdict: float | None, found: int) -> str:
-    """Whether anything was tampered with, in a sentence.
+def headline(verdict: float | None, tampered: int) -> str:
+    """State in one sentence whether the scene was edited.
 
     Args:
-        verdict: Probability that anything was; None of methods that do not say.
-        found: Number of tampered Gaussians.
+        verdict: Scene probability; None if the method gives none.
+        tampered: Number of Gaussians labelled as tampered.
     """
     if verdict is not None:
-        return next(said for least, said in LIKELY if verdict >= least)
-    if found:
-        return "Something was labelled; whether it was tampered with, this method cannot say."
-    return "No tampered Gaussian was found."
+        return next(sentence for lowest, sentence in HEADLINES if verdict >= lowest)
+    if tampered:
+        return "Gaussians are labelled, but this method gives no scene probability."
+    return "No Gaussian is labelled as tampered."
 
 
-def found_sentence(
-    found: int, total: int, *, verdict: float | None, views: int, covered: float
+def labels_sentence(
+    tampered: int, total: int, *, verdict: float | None, views: int, covered: float
 ) -> str:
-    """How many Gaussians are tampered and what they cover, with a doubt where the verdict has one.
+    """State how many Gaussians are labelled as tampered and how much of the views they cover.
 
     Args:
-        found: Number of tampered Gaussians.
-        total: Number of all.
-        verdict: Probability that anything was tampered with, or None.
+        tampered: Number of Gaussians labelled as tampered.
+        total: Number of Gaussians.
+        verdict: Scene probability; None if the method gives none.
         views: Number of views.
-        covered: Mean share of a view that is tampered.
+        covered: Mean share of the pixels of a view that the labelled Gaussians cover.
     """
-    shown = f"{views} view{'' if views == 1 else 's'}"
-    if not found:
-        return f"No tampered Gaussian was found: none of {total:,}, in {shown}."
+    count = f"{views} view{'' if views == 1 else 's'}"
+    if not tampered:
+        return f"None of {total:,} Gaussians is labelled as tampered; {count} were rendered."
     return (
-        f"{'If something was: ' if doubtful(verdict, found) else ''}"
-        f"{found:,} of {total:,} Gaussians are labelled as tampered ({share(found / total)}); they "
-        f"cover {share(covered)} of what {shown} show{'s' if views == 1 else ''}."
+        f"{'If the scene was edited: ' if is_doubtful(verdict, tampered) else ''}"
+        f"{tampered:,} of {total:,} Gaussians ({share(tampered / total)}) are labelled as "
+        f"tampered; they cover {share(covered)} of the pixels of {count}."
     )
 
 
-def doubtful(verdict: float | None, found: int) -> bool:
-    """Whether something was found although the verdict is not that anything was edited."""
-    return found > 0 and verdict is not None and verdict < PROBABLY
+def is_doubtful(verdict: float | None, tampered: int) -> bool:
+    """Whether Gaussians are labelled although the scene probability does not state an edit."""
+    return tampered > 0 and verdict is not None and verdict < MIN_EDITED
 
 
-def verdict_sentence(located: Located) -> str:
-    """`found_sentence`, after the `headline` where the two do not agree."""
-    result = located.result
-    found, verdict = int(result.labels.sum()), result.verdict
-    said = found_sentence(
-        found,
-        len(result.labels),
-        verdict=verdict,
-        views=len(result.masks),
-        covered=located.visible_share,
-    )
-    return f"{headline(verdict, found)} {said}" if doubtful(verdict, found) else said
+def found_traces(result: Result) -> list[Trace]:
+    """Traces of editing that were found in the stored values."""
+    return [trace for trace in getattr(result.prior, "traces", ()) if trace.found]
 
 
-def masks_sentence(result: Result) -> str | None:
-    """What the masks are worth, counted; None where that is not known."""
-    counts = Counter(result.reliability.values())
-    if not counts:
+def views_sentence(result: Result) -> str | None:
+    """How many views were used and why no more; None if all available views were used."""
+    stop = result.early_stopping
+    if stop is None or stop.views == stop.available:
         return None
-    said = ", ".join(f"{text} {counts[key]}" for key, text in MASKS.items() if counts[key])
-    return f"{said}, of {counts.total()}"
-
-
-def effort_sentence(result: Result) -> str | None:
-    """How many views were looked at and why no more; None where it was all of them."""
-    effort = result.effort
-    if effort is None or effort.views == effort.available:
-        return None
-    return f"at {effort.views} of {effort.available} views: {effort.reason}"
-
-
-TRACES: dict[str, tuple[str, str]] = {
-    "copied": (
-        "Copies",
-        "Copying a part of a scene, as to fill a hole, leaves the same numbers in two places.",
-    ),
-    "lattice": (
-        "Digits",
-        "A file that was saved with few digits has none between them; what was added later has.",
-    ),
-    "degree": (
-        "Colour model",
-        "How much colours change with the view is one setting of a training, for all of a scene.",
-    ),
-    "rows": (
-        "Order of the file",
-        "Training leaves Gaussians in no order; what is appended lies together at the end.",
-    ),
-    "quaternions": (
-        "Rotations",
-        "A program writes rotations in one convention; what another one wrote differs.",
-    ),
-}
-"""What traces of editing are called, and why they tell of it, by name."""
-
-
-def traces_found(result: Result) -> list[Trace]:
-    """What editing left in the numbers of the file."""
-    return [trace for trace in (result.native.traces if result.native else ()) if trace.found]
+    return f"{stop.views} of {stop.available} used. {stop.reason}"
 
 
 def summary(located: Located, out: Path) -> list[str]:
-    """What a person wants to know of a run, in a few lines.
+    """Summarise a run in a few lines for the terminal.
 
     Args:
         located: The run.
-        out: Where its results are.
+        out: Folder with its results.
     """
     result = located.result
     seconds = {name: stage["seconds"] for name, stage in located.stages.items()}
     slowest = sorted(seconds, key=seconds.__getitem__, reverse=True)[:3]
     times = ", ".join(f"{name} {seconds[name]:.1f} s" for name in slowest)
     return [
-        verdict_sentence(located),
-        *_judgement(result),
-        *(f"trace    {trace.explanation}" for trace in traces_found(result)),
+        *_verdict_lines(located),
+        *_view_lines(result),
+        *(f"trace    {trace.explanation}" for trace in found_traces(result)),
         f"method   {result.method}",
         f"time     {located.seconds:.1f} s (most work: {times})",
-        f"look at  {out / 'report.html'}",
-        f"         {out / 'overview.png'}, {out / 'overlay'}",
+        f"report   {out / 'report.html'}",
+        f"images   {out / 'overview.png'}, {out / 'overlay'}",
         f"scene    {out / 'tamper.ply'}; for any viewer: {out / 'highlight.ply'}",
         f"numbers  {out / 'result.json'}, {out / 'labels.npy'}",
     ]
 
 
-def _judgement(result: Result) -> list[str]:
-    """Whether anything was tampered with at all, and what the masks are worth, if that is known."""
-    lines = []
-    if result.verdict is not None:
-        said = percent(result.verdict)
-        lines.append(f"verdict  {said}: probability that anything was tampered with")
-    for name, sentence in (
-        ("masks", masks_sentence(result)),
-        ("looked", effort_sentence(result)),
-    ):
-        if sentence:
-            lines.append(f"{name:8} {sentence}")
-    return lines
+def _verdict_lines(located: Located) -> list[str]:
+    result = located.result
+    tampered, verdict = int(result.labels.sum()), result.verdict
+    line = labels_sentence(
+        tampered,
+        len(result.labels),
+        verdict=verdict,
+        views=len(result.masks),
+        covered=located.visible_share,
+    )
+    if is_doubtful(verdict, tampered):
+        line = f"{headline(verdict, tampered)} {line}"
+    return [line] if verdict is None else [line, f"edited   {percent(verdict)} (scene probability)"]
+
+
+def _view_lines(result: Result) -> list[str]:
+    counts = Counter(result.reliability.values())
+    kinds = [f"{counts[key]} {words.short}" for key, words in RELIABILITY.items() if counts[key]]
+    lines = [f"masks    {', '.join(kinds)}"] if kinds else []
+    views = views_sentence(result)
+    return [*lines, f"views    {views}"] if views else lines

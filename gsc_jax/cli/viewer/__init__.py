@@ -1,1 +1,1 @@
-"""The pieces of the 3D viewer: what it shows, from where, and its panels."""
+"""The 3D viewer of `gsc-jax view`, served or written as a page."""

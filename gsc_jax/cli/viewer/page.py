@@ -1,78 +1,48 @@
-"""The standalone page: viser's own client with the scene inside, and a toolbar of ours around it.
+"""The written page: viser's standalone client in a frame, under a bar that selects the camera.
 
-viser records scenes, not panels, so the toolbar does in the browser what the server does otherwise,
-through what viser's client shows of itself to its own tests (`__viserMutable`: the queue of its
-messages). Where another version of the client shows no such thing, the toolbar says so, and the
-scene can still be looked at.
+viser reads the first view from the address of its page (`?initialCameraPosition=...`). The page
+therefore loads itself into the frame with such an address, and there replaces itself by the client.
+The frame is sandboxed, since browsers refuse the client's workers in pages opened from a file.
 """
 
-import base64
-import dataclasses
 from importlib.resources import files
+from urllib.parse import urlencode
 
 import numpy as np
 
-from gsc_jax.cli.viewer.exhibit import Exhibit, legend
-from gsc_jax.cli.viewer.panel import FLAT
+from gsc_jax.cli.viewer.contents import Contents, legend
 from gsc_jax.cli.viewer.poses import Pose
-from gsc_jax.cli.viewer.splats import MODES, SHADE, heat
-from gsc_jax.io.ply import LUMA
-
-LEVELS = 256
 
 
-def page(client: str, exhibit: Exhibit) -> str:
-    """Puts the toolbar into viser's page.
+def viewer_page(client: str, contents: Contents) -> str:
+    """Render the page.
 
     Args:
         client: HTML of viser's client with the scene inside.
-        exhibit: What it shows.
+        contents: What the page shows.
 
     Returns:
-        HTML that asks for nothing from any other place.
+        A complete HTML document that needs neither server nor network.
     """
     from jinja2 import Environment
 
-    here = files("gsc_jax.cli.viewer")
-    template = Environment(autoescape=True).from_string(
-        (here / "viewer.html").read_text(encoding="utf-8")
+    template = files("gsc_jax.cli.viewer").joinpath("viewer.html").read_text(encoding="utf-8")
+    return (
+        Environment(autoescape=True)
+        .from_string(template)
+        .render(
+            contents=contents,
+            views=[(pose.name, _address(pose, contents)) for pose in contents.poses],
+            legend=legend(),
+            client=client,
+        )
     )
-    toolbar = template.render(
-        exhibit=exhibit,
-        modes=MODES,
-        flat=FLAT,
-        legend=legend(),
-        told=told(exhibit),
-        style=(here / "viewer.css").read_text(encoding="utf-8"),
-        script=(here / "viewer.js").read_text(encoding="utf-8"),
-    )
-    head, body = toolbar.split("<!-- body -->")
-    client = client.replace("<title>Viser</title>", "", 1)
-    # In the client itself are neither of these tags but its own; the scene is base64.
-    client = client.replace("<head>", f"<head>{head}", 1)
-    end = client.rindex("</body>")
-    return client[:end] + body + client[end:]
 
 
-def told(exhibit: Exhibit) -> dict[str, object]:
-    """What the script of the page works with, for JSON.
-
-    Args:
-        exhibit: What the page shows.
-    """
-    colors = np.rint(255 * heat(np.linspace(0, 1, LEVELS)))
-    return {
-        "scores": base64.b64encode(exhibit.score.astype("<f4").tobytes()).decode(),
-        "colors": colors.astype(int).tolist(),
-        "shade": SHADE,
-        "luma": LUMA.tolist(),
-        "poses": [_plain(pose) for pose in exhibit.poses],
-    }
-
-
-def _plain(pose: Pose) -> dict[str, object]:
-    fields = dataclasses.asdict(pose)
-    return {
-        key: value.tolist() if isinstance(value, np.ndarray) else value
-        for key, value in fields.items()
-    }
+def _address(pose: Pose, contents: Contents) -> str:
+    """Query string with which viser starts at a camera."""
+    vectors = {"Position": pose.position, "LookAt": pose.look_at, "Up": pose.up}
+    scalars = {"Fov": pose.fov, "Near": contents.near, "Far": contents.far}
+    values = {key: ",".join(map(str, np.asarray(value).tolist())) for key, value in vectors.items()}
+    values |= {key: str(float(value)) for key, value in scalars.items()}
+    return urlencode({f"initialCamera{key}": value for key, value in values.items()}, safe=",")

@@ -1,9 +1,4 @@
-"""What a viewer is given: Gaussians as coloured ellipsoids.
-
-Colours are those of the constant harmonic, as browsers' splat renderers evaluate no others. What is
-shown is decided by colours and opacities alone, so that switching moves no Gaussian: what is not to
-be seen has opacity 0.
-"""
+"""Gaussians as viser draws them: coloured ellipsoids without view-dependent colour."""
 
 import dataclasses
 from typing import Literal, get_args
@@ -13,19 +8,16 @@ import numpy as np
 from gsc_jax.io.ply import LUMA
 from gsc_jax.render.spherical_harmonics import Y0
 from gsc_jax.scene import Array, Gaussians
+from gsc_jax.scene.gaussians import rotation_matrices
 
-Mode = Literal["original", "heat map", "tampered only", "authentic only"]
-MODES: tuple[Mode, ...] = get_args(Mode)
-
+Layer = Literal["original", "heat map", "tampered only", "authentic only"]
+LAYERS: tuple[Layer, ...] = get_args(Layer)
 COLORMAP = "viridis"
-"""Perceptually uniform, and the same to colour-blind eyes."""
-SHADE = 0.35
-"""How much of a heat map is the scene in grey, so that things are recognised in it."""
-
-HALF_TYPICAL = 0.1
-HALF_LARGEST = 250.0
-"""Typical and largest standard deviation in half precision, whose squares must not over- or
-underflow: viewers store covariances in it."""
+"""Perceptually uniform, also for colour-blind readers."""
+GREY_SHARE = 0.35
+"""Share of the grey scene in the heat map, so that objects can be recognised in it."""
+TYPICAL_HALF, LARGEST_HALF = 0.1, 250.0
+"""Typical and largest standard deviation whose square fits float16, in which viser stores it."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -44,24 +36,15 @@ class Splats:
     rgbs: np.ndarray
     opacities: np.ndarray
 
-    def __len__(self) -> int:
-        """The number of ellipsoids."""
-        return len(self.centers)
+    def take(self, rows: np.ndarray) -> "Splats":
+        """The ellipsoids of some rows, given as indices or as a mask."""
+        fields = dataclasses.fields(self)
+        return Splats(**{field.name: getattr(self, field.name)[rows] for field in fields})
 
 
 def splats(gaussians: Gaussians) -> Splats:
-    """The ellipsoids of a scene, covariance R S S^T R^T.
-
-    Args:
-        gaussians: N Gaussians.
-
-    Returns:
-        N splats.
-    """
-    from scipy.spatial.transform import Rotation
-
-    turned = Rotation.from_quat(np.asarray(gaussians.rotations), scalar_first=True).as_matrix()
-    axes = turned * np.asarray(gaussians.scales, np.float64)[:, None, :]
+    """Convert Gaussians; the covariance is R S S^T R^T."""
+    axes = rotation_matrices(gaussians) * np.asarray(gaussians.scales, np.float64)[:, None, :]
     rgbs = 0.5 + Y0 * np.asarray(gaussians.sh, np.float32)[:, 0]
     return Splats(
         centers=np.asarray(gaussians.means, np.float32),
@@ -72,12 +55,12 @@ def splats(gaussians: Gaussians) -> Splats:
 
 
 def largest(gaussians: Gaussians, count: int, *, first: np.ndarray) -> np.ndarray:
-    """The Gaussians that show most: those of largest opacity times area.
+    """Select the Gaussians of largest opacity times area.
 
     Args:
         gaussians: N Gaussians.
-        count: How many, at most.
-        first: Which come before all others, if they can be seen at all, shape (N,) bool.
+        count: Maximum number of rows.
+        first: Gaussians that precede all others unless they are invisible, shape (N,) bool.
 
     Returns:
         Rows, ascending, shape (min(N, count),) int64.
@@ -86,84 +69,51 @@ def largest(gaussians: Gaussians, count: int, *, first: np.ndarray) -> np.ndarra
         return np.arange(len(gaussians))
     axes = np.sort(np.asarray(gaussians.log_scales, np.float64), axis=1)
     opacities = np.asarray(gaussians.opacities, np.float64)
-    with np.errstate(divide="ignore"):  # invisible ones come last
-        shows = np.log(opacities) + axes[:, 1] + axes[:, 2]
-    order = np.lexsort((-shows, ~(first & np.isfinite(shows))))
+    with np.errstate(divide="ignore"):  # log 0 = -inf sorts invisible Gaussians last
+        sizes = np.log(opacities) + axes[:, 1] + axes[:, 2]
+    order = np.lexsort((-sizes, ~(first & np.isfinite(sizes))))
     return np.sort(order[:count])
 
 
 def heat(score: Array) -> np.ndarray:
-    """The colours of a score, from dark to light.
-
-    Args:
-        score: In [0, 1], shape (N,).
-
-    Returns:
-        RGB in [0, 1], shape (N, 3) float32.
-    """
+    """Colours of scores in [0, 1], shape (N, 3) float32 in [0, 1], lighter for higher scores."""
     from matplotlib import colormaps
 
     return colormaps[COLORMAP](np.asarray(score, np.float64))[:, :3].astype(np.float32)
 
 
-def shaded(rgbs: np.ndarray, light: np.ndarray) -> np.ndarray:
-    """Colours mixed with the grey of others.
-
-    Args:
-        rgbs: Colours in [0, 1], shape (N, 3).
-        light: Colours whose grey is taken, shape (N, 3).
-
-    Returns:
-        RGB in [0, 1], shape (N, 3).
-    """
-    return (1 - SHADE) * rgbs + SHADE * (light @ LUMA)[:, None].astype(np.float32)
-
-
-def shown(
-    splats: Splats, score: Array, mode: Mode, threshold: float
+def layer_colours(
+    splats: Splats, score: Array, layer: Layer, threshold: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What a mode shows.
+    """Colours and opacities of a layer.
 
     Args:
-        splats: N splats in their own colours.
-        score: Of tampering, shape (N,).
-        mode: What is asked for.
-        threshold: Tampered is what scores above it.
+        splats: N splats in the colours of the scene.
+        score: Scores, shape (N,).
+        layer: The layer.
+        threshold: Score above which a Gaussian is tampered.
 
     Returns:
-        Colours (N, 3) and opacities (N, 1), 0 for what is hidden.
+        Colours (N, 3) and opacities (N, 1); hidden splats have opacity 0.
     """
-    if mode == "original":
+    if layer == "original":
         return splats.rgbs, splats.opacities
-    if mode == "heat map":
-        return shaded(heat(score), splats.rgbs), splats.opacities
-    visible = (np.asarray(score) > threshold) == (mode == "tampered only")
+    if layer == "heat map":
+        grey = (splats.rgbs @ LUMA)[:, None].astype(np.float32)
+        return (1 - GREY_SHARE) * heat(score) + GREY_SHARE * grey, splats.opacities
+    visible = (np.asarray(score) > threshold) == (layer == "tampered only")
     return splats.rgbs, splats.opacities * visible[:, None]
 
 
-def half_unit(splats: Splats) -> float:
-    """The length to measure in so that covariances can be stored in half precision.
-
-    Args:
-        splats: N splats.
-
-    Returns:
-        World units per unit; 1 where no splat has an extent.
-    """
+def half_precision_unit(splats: Splats) -> float:
+    """World units per unit of length in which typical covariances fit float16; 1 for points."""
     deviations = np.sqrt(np.diagonal(splats.covariances, axis1=1, axis2=2).max(axis=1))
-    typical = float(np.median(deviations))
-    return typical / HALF_TYPICAL if typical > 0 else 1.0
+    typical = float(np.median(deviations)) if len(deviations) else 0.0
+    return typical / TYPICAL_HALF if typical > 0 else 1.0
 
 
-def fitting_half(covariances: np.ndarray) -> np.ndarray:
-    """Covariances, scaled down where half precision would overflow.
-
-    Args:
-        covariances: Shape (N, 3, 3).
-
-    Returns:
-        The same shape; of what was too large, the form is kept.
-    """
+def fit_half_precision(covariances: np.ndarray) -> np.ndarray:
+    """Scale down covariances (N, 3, 3) that overflow float16, and keep their shape."""
     spread = np.diagonal(covariances, axis1=1, axis2=2).max(axis=1)
-    factors = np.minimum(1, HALF_LARGEST**2 / np.maximum(spread, 1e-30))
+    factors = np.minimum(1, LARGEST_HALF**2 / np.maximum(spread, 1e-30))
     return covariances * factors[:, None, None].astype(np.float32)

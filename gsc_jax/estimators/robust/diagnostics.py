@@ -1,105 +1,111 @@
-"""What a user should know of the labels of `robust`: in sentences, and what each mask is worth."""
+"""Diagnostics of `robust`: the reliability of every mask, and warnings about the labels."""
 
 import numpy as np
 
-from gsc_jax.estimators.protocol import DISAGREE, Reliability
-from gsc_jax.estimators.robust.class_roles import SEEN, Roles
-from gsc_jax.estimators.robust.prior_fusion import Prior
+from gsc_jax.estimators.protocol import DISAGREEMENT, NONE_FLAGGED, Prior, Reliability
+from gsc_jax.estimators.robust.class_roles import FULL_VIEW, Roles
 from gsc_jax.evidence.lifting import Evidence
 
-FEW = 0.05
-"""Share of what one side names up to which it does not matter that the other does not."""
-OWN = " What is labelled is what the Gaussians themselves say."
+MIN_SHARE = 0.05
+"""Masks and prior may differ in this share of what one of them labels without a warning."""
+FROM_PRIOR = " The labels come from the attributes of the Gaussians."
 
 
-def doubts(
-    agreed: np.ndarray,
+def reliability(
+    evidence: Evidence, labels: np.ndarray, roles: Roles | None
+) -> tuple[Reliability, ...]:
+    """Reliability of the mask of each view.
+
+    Args:
+        evidence: Evidence of V views, shapes (V, N).
+        labels: Labelled Gaussians, shape (N,) bool.
+        roles: Roles of the latent classes.
+
+    Returns:
+        A word per view; empty if nothing is labelled or all Gaussians belong to one class.
+    """
+    if roles is None or not labels.any():
+        return ()
+    total, flagged = (
+        np.array([row[labels].sum(dtype=np.float64) for row in np.asarray(part)])
+        for part in (evidence.total, evidence.tampered)
+    )
+    words = np.where(2 * flagged > total, "reliable", "uninformative")
+    words = np.where(2 * total > FULL_VIEW * total.max(initial=0.0), words, "unseen")
+    return tuple(np.where(roles.inverted, "inverted", words).tolist())
+
+
+def no_masks(labels: np.ndarray) -> list[str]:
+    """Warning for masks that are all empty."""
+    return [NONE_FLAGGED + FROM_PRIOR * bool(labels.any())]
+
+
+def warnings(
     roles: Roles | None,
+    agreed: np.ndarray,
     labels: np.ndarray,
     verdicts: tuple[float, float],
     prior: Prior | None = None,
 ) -> list[str]:
-    """Warnings where masks disagree, or where not they but the Gaussians say what is labelled.
+    """Warnings where masks disagree with each other or with the prior.
 
     Args:
-        agreed: Gaussians that the masks agree on, shape (N,) bool.
-        roles: What the views are worth; None where they show one class only.
-        labels: Gaussians that are labelled, shape (N,) bool.
-        verdicts: Probability of an edit by the masks, and by all that is known.
-        prior: What is known without the masks.
+        roles: Roles of the latent classes; None if all Gaussians belong to one class.
+        agreed: Gaussians that the masks alone label, shape (N,) bool.
+        labels: Labelled Gaussians, shape (N,) bool.
+        verdicts: Scene probability from the masks alone, and with the prior.
+        prior: Probability per Gaussian from another source.
 
     Returns:
         Sentences.
     """
     if roles is None:
-        return [DISAGREE + OWN * bool(labels.any())]
-    if not (agreed.any() and labels.any()):
-        often = f" None was flagged in more than {roles.rate:.0%} of those that see it."
-        said = [DISAGREE + often + OWN * bool(labels.any())]
+        return [DISAGREEMENT + FROM_PRIOR * bool(labels.any())]
+    if agreed.any() and labels.any():
+        sentences = [*_weak_masks(roles, *verdicts), *_conflicts(agreed, labels, prior)]
     else:
-        said = [*_about_masks(roles, verdicts), *_about_both(agreed, labels, prior)]
+        rate = f" No region is flagged in more than {roles.rate:.0%} of the views that see it."
+        sentences = [DISAGREEMENT + rate + FROM_PRIOR * bool(labels.any())]
     if roles.inverted.mean() > 0.5:
-        said.append(
+        sentences.append(
             f"{roles.inverted.sum()} of {len(roles.inverted)} masks flag the larger part of the "
-            "scene and were read the other way round; if that part was tampered with, use another "
-            "method."
+            "scene and were inverted; if that part was edited, use another method."
         )
-    return said
+    return sentences
 
 
-def _about_masks(roles: Roles, verdicts: tuple[float, float]) -> list[str]:
-    """What is to be thought of what the masks agree on."""
-    shown, certain = verdicts
-    if shown >= 0.5:
+def _weak_masks(roles: Roles, from_masks: float, verdict: float) -> list[str]:
+    """Warn if the labelled region is flagged no more often than authentic regions are."""
+    if from_masks >= 0.5:
         return []
-    so = "perhaps nothing was tampered with"
-    if certain >= 0.5:
-        so = "that something was tampered with is said by the Gaussians themselves"
+    conclusion = "perhaps nothing was edited"
+    if verdict >= 0.5:
+        conclusion = "the evidence for an edit comes from the attributes of the Gaussians"
     return [
-        f"What the masks agree on was flagged in {roles.rate:.0%} of the views that see it, as "
-        f"often happens to authentic things: {so}."
+        f"The labelled region is flagged in {roles.rate:.0%} of the views that see it, which also "
+        f"happens to authentic regions: {conclusion}."
     ]
 
 
-def _about_both(agreed: np.ndarray, labels: np.ndarray, prior: Prior | None) -> list[str]:
-    """Where masks and Gaussians name different things, what became of both."""
-    said, own, dropped = [], labels & ~agreed, agreed & ~labels
-    if own.sum() > FEW * labels.sum():
-        said.append(
-            f"{own.sum():,} of {labels.sum():,} labelled Gaussians are so by what they say "
-            "themselves, not by the masks."
+def _conflicts(agreed: np.ndarray, labels: np.ndarray, prior: Prior | None) -> list[str]:
+    """Report how conflicts between the masks and the prior were decided."""
+    sentences, added, dropped = [], labels & ~agreed, agreed & ~labels
+    if added.sum() > MIN_SHARE * labels.sum():
+        sentences.append(
+            f"{added.sum():,} of {labels.sum():,} labelled Gaussians are labelled because of their "
+            "attributes, not because of the masks."
         )
-    if dropped.sum() > FEW * agreed.sum():
-        said.append(
+    if dropped.sum() > MIN_SHARE * agreed.sum():
+        sentences.append(
             f"{dropped.sum():,} of {agreed.sum():,} Gaussians that the masks agree on are not "
-            "labelled: the Gaussians themselves say otherwise."
+            "labelled, because their attributes contradict the masks."
         )
-    named = prior.known & (prior.probability > 0.5) if prior and prior.verdict > 0.5 else labels
-    if (named & ~labels).sum() > FEW * named.sum():
-        said.append(
-            f"{(named & ~labels).sum():,} of {named.sum():,} Gaussians that stand out by "
-            "themselves are not labelled: the masks say otherwise."
+    if prior is None or prior.verdict <= 0.5:
+        return sentences
+    suspect = prior.known & (prior.probability > 0.5)
+    if (suspect & ~labels).sum() > MIN_SHARE * suspect.sum():
+        sentences.append(
+            f"{(suspect & ~labels).sum():,} of {suspect.sum():,} Gaussians with conspicuous "
+            "attributes are not labelled, because the masks contradict them."
         )
-    return said
-
-
-def reliability_of(
-    evidence: Evidence, labels: np.ndarray, inverted: np.ndarray
-) -> tuple[Reliability, ...]:
-    """What the mask of each view is worth: whether it flags most of what is labelled.
-
-    Args:
-        evidence: What V views say of N Gaussians, shapes (V, N).
-        labels: Gaussians that are labelled, shape (N,) bool.
-        inverted: Views whose mask is to be read the other way round, shape (V,) bool.
-
-    Returns:
-        A word per view.
-    """
-    total, flagged = (
-        np.array([row[labels].sum(dtype=np.float64) for row in np.asarray(part)])
-        for part in (evidence.total, evidence.tampered)
-    )
-    told = np.where(2 * flagged > total, "finds", "misses")
-    told = np.where(2 * total > SEEN * total.max(initial=0.0), told, "unseen")
-    return tuple(np.where(inverted, "inverted", told).tolist())
+    return sentences

@@ -1,62 +1,57 @@
-"""Neighbouring Gaussians are mostly of one kind: mean-field smoothing over the nearest neighbours.
+"""Mean-field smoothing: neighbouring Gaussians mostly belong to the same class.
 
-Each Gaussian's class is drawn towards the mean of its neighbours' (a Potts model, solved by the
-mean field; Kraehenbuehl and Koltun 2011 do the same for pixels). Of which kind a
-Gaussian is may be told by the views more clearly than neighbours can weigh: those stay as they are,
-and only the doubtful ones are looked at.
+A Potts model over nearest neighbours, solved by the mean field (Kraehenbuehl and Koltun 2011 do so
+for pixels). Only Gaussians that the neighbours could move across the boundary are updated.
 """
 
 import numpy as np
+from scipy.special import softmax
 
 from gsc_jax.scene import Array
 from gsc_jax.scene.neighbours import nearest_neighbours
 
 ITERATIONS = 5
 MARGIN = 3.0
-"""Log odds beyond the reach of the neighbours from which on a Gaussian is left out."""
+"""Log odds beyond the reach of the neighbours from which on a Gaussian is not updated: smoothing
+would change its probability by less than exp(-3)."""
 
 
-def smoothed(
+def smooth(
     logits: np.ndarray,
-    kinds: np.ndarray,
+    tampered: np.ndarray,
     means: Array,
     seen: np.ndarray,
     *,
     strength: float,
     neighbours: int,
 ) -> np.ndarray:
-    """Class probabilities of Gaussians that look at their neighbours.
+    """Class probabilities after mean-field smoothing.
 
     Args:
         logits: Unnormalised log probability of each class, shape (N, C).
-        kinds: Which of the classes are of one kind, the others being of the other, shape (C,) bool.
-        means: Centres, world units of any scale, shape (N, 3).
-        seen: Gaussians that any view has seen; only they speak, shape (N,) bool.
-        strength: Log odds that neighbours of one mind add.
-        neighbours: How many are asked.
+        tampered: Classes that count as tampered, shape (C,) bool.
+        means: Centres in any unit, shape (N, 3).
+        seen: Mask of the Gaussians visible in at least one view, shape (N,) bool; the others get
+            and send no message.
+        strength: Log odds that neighbours contribute if they all belong to one class.
+        neighbours: Number of neighbours.
 
     Returns:
         Probabilities that add up to 1, shape (N, C).
     """
-    probability = softmax(logits)
+    probability = softmax(logits, axis=-1)
     means = np.asarray(means)
-    speaking = np.flatnonzero(seen & np.isfinite(means).all(axis=1))
-    if kinds.all() or not kinds.any() or strength == 0 or len(speaking) <= neighbours:
+    active = np.flatnonzero(seen & np.isfinite(means).all(axis=1))
+    if tampered.all() or not tampered.any() or strength == 0 or len(active) <= neighbours:
         return probability
-    one, other = (logits[:, kind].max(axis=1)[speaking] for kind in (kinds, ~kinds))
-    doubtful = np.flatnonzero(np.abs(one - other) < strength + MARGIN)
-    asked = speaking[nearest_neighbours(means[speaking], doubtful, neighbours)]
-    those = speaking[doubtful]
-    own = logits[those]
+    best, other = (logits[:, kind].max(axis=1)[active] for kind in (tampered, ~tampered))
+    uncertain = np.flatnonzero(np.abs(best - other) < strength + MARGIN)
+    nearest = active[nearest_neighbours(means[active], uncertain, neighbours)]
+    rows = active[uncertain]
+    unary = logits[rows]
     for _ in range(ITERATIONS):
-        opinion = np.zeros_like(own)
-        for neighbour in asked.T:
-            opinion += probability[neighbour]
-        probability[those] = softmax(own + strength / neighbours * opinion)
+        message = np.zeros_like(unary)
+        for neighbour in nearest.T:
+            message += probability[neighbour]
+        probability[rows] = softmax(unary + strength / neighbours * message, axis=-1)
     return probability
-
-
-def softmax(logits: np.ndarray) -> np.ndarray:
-    """Probabilities over the last axis, which add up to 1."""
-    weights = np.exp(logits - logits.max(axis=-1, keepdims=True))
-    return weights / weights.sum(axis=-1, keepdims=True)

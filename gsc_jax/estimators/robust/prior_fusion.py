@@ -1,118 +1,82 @@
-"""Two opinions as one: what the masks say, and what is known without them.
+"""Fusion of two independent opinions on every Gaussian: the masks' and the prior's.
 
-Neither knows of the other, and both know how sure they are: the masks by how many views agree, what
-is known without them (the prior, such as the native evidence) by its own verdict on the scene.
+Both come with a probability that they show an edit at all: the masks by how many views agree, the
+prior by its own verdict on the scene.
 """
 
-import dataclasses
 import math
 
 import numpy as np
+from scipy.special import logit
 
+from gsc_jax.estimators.protocol import Prior
 from gsc_jax.scene import Array
 
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Prior:
-    """What is known without the masks.
-
-    Attributes:
-        probability: That a Gaussian is tampered, if anything is, shape (N,) in [0, 1], also where
-            nothing is known.
-        verdict: Probability that anything is.
-        known: Gaussians of which it says something, shape (N,) bool.
-        exact: Whether it tells exactly which are tampered; then masks do not overrule it.
-
-    Raises:
-        ValueError: if that is not what they are.
-    """
-
-    probability: np.ndarray
-    verdict: float
-    known: np.ndarray
-    exact: bool = False
-
-    def __post_init__(self) -> None:
-        """Refuse what would spoil every Gaussian."""
-        if not 0 <= self.verdict <= 1:
-            raise ValueError(f"verdict must be in [0, 1], got {self.verdict}")
-        within = (self.probability >= 0) & (self.probability <= 1)
-        if not within.all():
-            row = int(np.argmin(within))
-            raise ValueError(
-                f"probability must be in [0, 1], got {self.probability[row]} in row {row}"
-            )
-        if self.known.dtype != bool or self.known.shape != self.probability.shape:
-            raise ValueError(
-                f"known must be bool, of the shape {self.probability.shape} of probability, got "
-                f"{self.known.dtype} {self.known.shape}"
-            )
+PROBABILITY_FLOOR = 1e-9
+"""Clip probabilities to this distance from 0 and 1, which bounds log odds by 21."""
 
 
-def fused(
-    probability: np.ndarray, shown: float, seen: np.ndarray, prior: Prior, weight: float = 1.0
+def fuse(
+    probability: np.ndarray, verdict: float, seen: np.ndarray, prior: Prior, weight: float = 1.0
 ) -> tuple[np.ndarray, float]:
-    """The probability of each Gaussian to be tampered, and the verdict, by masks and prior.
+    """Fuse probabilities from masks with a prior.
 
-    Either may be right or not, independently: with the probability `shown` the masks show an edit,
-    with that of its verdict the prior does. Where only one is right it is believed; where both are,
-    the masks, or both alike if the prior is exact; where neither is, the masks for want of better.
+    Masks and prior are each correct or not, independently: the masks with the probability
+    `verdict`, the prior with that of its own verdict. If only one is correct, it alone counts. If
+    both are, the masks count, or both equally for an exact prior. If neither is, the masks count.
 
-    The verdict counts what the prior says for an edit; an edit need not show there, so what it says
-    against one is no evidence.
+    The fused verdict includes only evidence of the prior *for* an edit: an edit need not show in
+    the prior, so that its absence there is no evidence.
 
     Args:
-        probability: What the masks say of N Gaussians, shape (N,).
-        shown: Their verdict on the scene.
-        seen: Gaussians that any view saw, shape (N,) bool.
-        prior: What is known without them.
-        weight: Of the prior, in [0, 1].
+        probability: Probability of N Gaussians from the masks, shape (N,).
+        verdict: Scene probability from the masks.
+        seen: Mask of the Gaussians visible in at least one view, shape (N,) bool.
+        prior: The prior.
+        weight: Weight of the prior, in [0, 1].
 
     Returns:
-        The probability, shape (N,) float32, and the verdict.
+        Probabilities, shape (N,) float32, and the scene probability.
 
     Raises:
-        ValueError: if the prior speaks of another number of Gaussians.
+        ValueError: if the prior has another number of Gaussians.
     """
     if len(prior.probability) != len(probability):
         raise ValueError(
-            f"the prior speaks of {len(prior.probability)} Gaussians, expected {len(probability)}"
+            f"the prior has {len(prior.probability)} Gaussians, expected {len(probability)}"
         )
-    alone = np.where(seen, 1 - shown, 1.0)
-    beside = (1 - alone) / 2 if prior.exact else 0.0
-    share = weight * prior.verdict * (alone + beside) * prior.known
-    certain = both(shown, weight * max(float(log_odds_of(prior.verdict)), 0.0))
-    return pooled(probability, prior.probability, share), certain
+    masks_wrong = np.where(seen, 1 - verdict, 1.0)
+    both_right = (1 - masks_wrong) / 2 if prior.exact else 0.0
+    share = weight * prior.verdict * (masks_wrong + both_right) * prior.known
+    log_odds = weight * max(float(log_odds_of(prior.verdict)), 0.0)
+    fused_verdict = verdict / (verdict + (1 - verdict) * math.exp(-log_odds))
+    from_prior = np.where(prior.known, prior.probability, 0.0)
+    return linear_pool(probability, from_prior, share), float(fused_verdict)
 
 
-def pooled(one: np.ndarray, other: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """Two opinions on each Gaussian as one, a linear pool (Stone, 1961).
+def linear_pool(first: np.ndarray, second: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """Pool two probabilities of each Gaussian linearly (Stone, 1961).
 
-    Halfway between two opinions nothing may be likely any more, although one of them names
-    something. Then that one speaks alone, or of both the one that counts more.
+    The mean of two opinions may label nothing although one of them does. In this case that one
+    alone is returned, or of two the one with the larger share.
 
     Args:
-        one: Probabilities, shape (N,).
-        other: Others, shape (N,).
-        share: What the others count, in [0, 1], shape (N,).
+        first: Probabilities, shape (N,).
+        second: Probabilities, shape (N,).
+        share: Weight of the second, in [0, 1], shape (N,).
 
     Returns:
-        The probabilities by both, shape (N,) float32.
+        Pooled probabilities, shape (N,) float32.
     """
-    between = ((1 - share) * one + share * other).astype(np.float32)
-    names = [bool((opinion > 0.5).any()) for opinion in (one, other)]
-    if (between > 0.5).any() or not any(names):
-        return between
-    preferred = np.mean(share) > 0.5 if all(names) else names[1]
-    return np.asarray(other if preferred else one, np.float32)
-
-
-def both(certain: float, log_odds: float) -> float:
-    """A probability after independent evidence of these log odds."""
-    return float(certain / (certain + (1 - certain) * math.exp(-log_odds)))
+    pooled = ((1 - share) * first + share * second).astype(np.float32)
+    labels_any = [bool((opinion > 0.5).any()) for opinion in (first, second)]
+    if (pooled > 0.5).any() or not any(labels_any):
+        return pooled
+    take_second = np.mean(share) > 0.5 if all(labels_any) else labels_any[1]
+    return np.asarray(second if take_second else first, np.float32)
 
 
 def log_odds_of(probability: Array | float) -> np.ndarray:
-    """Log odds of probabilities of any shape, bounded where those are 0 or 1."""
-    within = np.clip(np.asarray(probability, np.float64), 1e-9, 1 - 1e-9)
-    return np.log(within / (1 - within))
+    """Log odds of probabilities of any shape, finite at 0 and 1."""
+    values = np.asarray(probability, np.float64)
+    return logit(np.clip(values, PROBABILITY_FLOOR, 1 - PROBABILITY_FLOOR))

@@ -1,232 +1,222 @@
-"""The report in a real browser: what toggles, keys and sorting show, at any width and scheme."""
+"""The HTML of the report: complete, escaped, without network."""
 
-import shutil
-from collections.abc import Iterator
+import base64
+import hashlib
+import itertools
+import json
+import re
+from collections import Counter
 from pathlib import Path
+from urllib.parse import unquote
 
+import imageio.v3 as iio
 import numpy as np
 import pytest
-from browser import Browser
-from reports import GREEN, HOSTILE, run, write
-from selenium.webdriver import Keys
-from selenium.webdriver.common.by import By
-from selenium.webdriver.support.ui import Select, WebDriverWait
-from stage import CONTRAST, LARGE, colour, items, named, order, press, settled, show, told
+from reports import HOSTILE, KINDS, Page, run, write
+from scipy.ndimage import binary_dilation
 
-NAMES = [f"room {i:02}" for i in range(8)]
-SMALL = 320
-"""Width of the pictures in the page."""
-LAYERS = ("render", "detector", "masks", "overlay")
+from gsc_jax.cli.outputs import write_report, write_results
+from gsc_jax.cli.report import wording
+from gsc_jax.cli.report.thumbnails import LAYERS
+from gsc_jax.estimators import METHODS
+from gsc_jax.evidence.monitor import Monitor
+
+NAMES = [f"view {i:02}" for i in range(8)]
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("report")
-    write(folder, run(tmp_path_factory.mktemp("scene"), NAMES, size=(LARGE, 420)))
+    write(folder, run(tmp_path_factory.mktemp("scene"), NAMES))
     return folder
 
 
-@pytest.fixture
-def page(browser: Browser, folder: Path) -> Iterator[Browser]:
-    """The report beside its folder; nothing may be complained of or asked of the network."""
-    show(browser, folder)
-    yield browser
-    assert browser.complaints() == []
-    assert browser.strangers() == []
+@pytest.fixture(scope="module")
+def page(folder: Path) -> Page:
+    return Page((folder / "report.html").read_text(encoding="utf-8"))
 
 
-def test_the_toggles_change_what_is_drawn(page: Browser):
-    green, black, white = np.array(GREEN), np.zeros(3), np.ones(3)
-    middle = {"render": green, "masks": white, "detector": np.full(3, 0.8)}
-    corner = {"render": green, "masks": black, "detector": np.full(3, 0.1), "overlay": green}
-    for layer in (*LAYERS, "render"):
-        page.find_element(By.CSS_SELECTOR, f"label:has(#layer-{layer})").click()
-        picture = settled(page)
-        assert f"/{layer}/" in told(picture, "src")
-        np.testing.assert_allclose(colour(picture, 0.02, 0.5), corner[layer], atol=0.03)
-        if layer in middle:
-            np.testing.assert_allclose(colour(picture), middle[layer], atol=0.03)
-        else:
-            assert np.abs(colour(picture) - green).max() > 0.2, "nothing is tinted"
-        shown = page.find_elements(By.CSS_SELECTOR, "#strip li:first-child img")
-        assert [one.get_dom_attribute("data-layer") for one in shown if one.is_displayed()] == [
-            layer
-        ]
-        assert NAMES[6] in told(picture, "alt")
+def thumbnails(page: Page) -> list[dict[str, str]]:
+    return [image for image in page.all("img") if "data-layer" in image]
 
 
-def test_it_opens_with_the_view_that_shows_most_and_the_page_at_its_top(page: Browser):
-    assert named(page) == NAMES[6]
-    assert page.find_element(By.ID, "place").text == "7 of 8"
-    assert page.execute_script("return scrollY") == 0
-    assert page.find_element(By.ID, "layer-overlay").is_selected()
+def test_every_view_has_all_layers(page: Page):
+    images = thumbnails(page)
+    assert [image["data-layer"] for image in images] == [*LAYERS] * len(NAMES)
+    for name, image in zip(np.repeat(NAMES, 4), images, strict=True):
+        assert name in image["alt"]
+        assert name in unquote(image["data-full"])
+        assert image["src"].startswith(("data:image/jpeg;base64,", "data:image/png;base64,"))
+    items = [item for item in page.all("li") if "data-order" in item]
+    assert [item["data-order"] for item in items] == [str(i + 1) for i in range(len(NAMES))]
 
 
-def test_buttons_thumbnails_and_arrows_choose_the_view(page: Browser):
-    page.find_element(By.ID, "next").click()
-    assert named(page) == NAMES[7]
-    page.find_element(By.ID, "next").click()
-    assert named(page) == NAMES[0]
-    page.find_element(By.ID, "previous").click()
-    assert named(page) == NAMES[7]
-    page.find_elements(By.CSS_SELECTOR, "#strip a")[2].click()
-    assert named(page) == NAMES[2]
-    settled(page)
-    press(page, Keys.ARROW_RIGHT, Keys.ARROW_RIGHT, Keys.ARROW_LEFT)
-    assert named(page) == NAMES[3]
-    assert "room%2003" in told(settled(page), "src")
-    chosen = page.find_elements(By.CSS_SELECTOR, "#strip [aria-current]")
-    assert [one.find_element(By.CLASS_NAME, "name").text for one in chosen] == [NAMES[3]]
-    assert page.switch_to.active_element == chosen[0]
+def test_every_number_of_the_result_is_on_the_page(folder: Path, page: Page):
+    report = json.loads((folder / "result.json").read_text())
+    assert report["outputs"] == sorted(report["outputs"])
+    assert {"report.html", "result.json"} <= set(report["outputs"])
+    for text in (
+        wording.headline(0.97, 100),
+        "97% scene probability",
+        "100 of 400 Gaussians (25.0%) are labelled as tampered",
+        wording.share(report["tampered_share_of_views"]),
+        "scene probability of 83%",
+        "100 of 400 Gaussians are off.",
+        "No part occurs again.",
+        "8 of 24 used.",
+        "12.3 s before this page was written",
+        "7.50 1,234",
+        "393",  # seen
+        "The <b>masks</b> disagree.",
+        "some <i>scene</i>.ply",
+    ):
+        assert text in page.text, text
+    for view in report["per_view"]:
+        assert f"{wording.share(view['tampered_share'])} tampered" in page.text
+        assert f"detector {wording.share(view['detector_share'])}" in page.text
+    for kind in KINDS:
+        assert page.text.count(wording.RELIABILITY[kind].short) >= 3, "two views and one count"
+    for key, value in {**report["config"], **report["versions"], "seed": 0}.items():
+        assert f"{key} {value if isinstance(value, str) else json.dumps(value)}" in page.text
 
 
-def test_digits_choose_the_layer_and_arrows_within_the_group_too(page: Browser):
-    for digit, layer in enumerate(LAYERS, start=1):
-        press(page, str(digit))
-        assert f"/{layer}/" in told(settled(page), "src")
-    press(page, "5", "0")
-    assert page.find_element(By.ID, "layer-overlay").is_selected()
-    page.execute_script("document.getElementById('layer-overlay').focus()")
-    press(page, Keys.ARROW_LEFT)
-    assert page.find_element(By.ID, "layer-masks").is_selected()
-    assert "/masks/" in told(settled(page), "src")
-    assert named(page) == NAMES[6]
+def test_every_file_is_linked(folder: Path, page: Page):
+    links = {unquote(link["href"]) for link in page.all("a") if "href" in link}
+    for name in json.loads((folder / "result.json").read_text())["outputs"]:
+        top, _, rest = name.partition("/")
+        assert (f"{top}/" if rest else top) in links
+    for link in links - {"#views", "#evidence", "#attributes", "#run", "#files"}:
+        assert (folder / link).exists(), link
 
 
-def test_sorting_moves_the_views_and_what_comes_next(page: Browser):
-    sort = Select(page.find_element(By.ID, "sort"))
-    found = [float(x.get_dom_attribute("data-found") or 0) for x in items(page)]
-    sort.select_by_value("found")
-    assert order(page) == [NAMES[i] for i in np.argsort(-np.array(found), kind="stable")]
-    sort.select_by_value("worth")
-    worth = [x.text.split()[-1] for x in page.find_elements(By.CSS_SELECTOR, "#strip .worth")]
-    assert worth == ["it", "it", "inverted", "inverted", "it", "it", "view", "view"]
-    assert order(page)[:4] == [NAMES[i] for i in (0, 4, 2, 6)]
-    assert named(page) == NAMES[6]
-    page.find_element(By.ID, "next").click()
-    assert named(page) == NAMES[1]
-    sort.select_by_value("order")
-    assert order(page) == NAMES
+def test_nothing_is_loaded_from_elsewhere_and_no_other_script_can_run(folder: Path, page: Page):
+    html = (folder / "report.html").read_text(encoding="utf-8")
+    script = re.findall(r"<script>(.*?)</script>", html, flags=re.DOTALL)
+    assert len(script) == len(page.all("script")) == 1
+    expected = base64.b64encode(hashlib.sha256(script[0].encode()).digest()).decode()
+    policy = next(meta["content"] for meta in page.all("meta") if "http-equiv" in meta)
+    assert f"script-src 'sha256-{expected}'" in policy
+    assert "default-src 'none'" in policy
+    assert "http" not in policy
+    assert not re.search(r"(?:https?:)?//[a-z]", html), "an address of the network"
+    assert not page.all("link")
+    assert not any(key.startswith("on") for _, attributes in page.elements for key in attributes)
 
 
-def test_everything_is_reached_by_tab_and_is_seen_to_be(page: Browser):
-    reached: list[str] = []
-    body = page.find_element(By.TAG_NAME, "body")
-    for _ in range(60):
-        press(page, Keys.TAB)
-        active = page.switch_to.active_element
-        if active == body:
-            break
-        outline = page.execute_script(
-            "const a = document.activeElement, s = getComputedStyle("
-            "a.type == 'radio' ? a.nextElementSibling : a);"
-            "return s.outlineStyle == 'none' ? 0 : parseFloat(s.outlineWidth)"
-        )
-        assert outline >= 2, active.get_attribute("outerHTML")
-        label = active.get_attribute("id") or active.get_attribute("href") or active.tag_name
-        reached.append((label or "").rsplit("/", 1)[-1])
-    wanted = ["#views", "layer-overlay", "sort", "previous", "next", "room%2000.jpg", "summary"]
-    places = [next(i for i, x in enumerate(reached) if x.endswith(name)) for name in wanted]
-    assert places == sorted(places)
-    assert reached.count("summary") == 4
-    assert reached[-1] == "result.json"
+def test_headings_ids_and_landmarks_are_consistent(page: Page):
+    assert page.all("html") == [{"lang": "en"}]
+    levels = [int(tag[1]) for tag, _ in page.elements if re.fullmatch(r"h[1-6]", tag)]
+    assert levels[0] == 1
+    assert levels.count(1) == 1
+    assert all(after - before <= 1 for before, after in itertools.pairwise(levels))
+    ids = Counter(attributes["id"] for _, attributes in page.elements if "id" in attributes)
+    assert set(ids.values()) == {1}
+    for _, attributes in page.elements:
+        for key in ("aria-labelledby", "for"):
+            assert attributes.get(key) in {None, *ids}
+        if attributes.get("href", "").startswith("#"):
+            assert attributes["href"][1:] in ids
+    assert all(image["alt"] for image in page.all("img"))
+    for landmark in ("header", "nav", "main", "footer"):
+        assert len(page.all(landmark)) == 1
 
 
-def test_a_copy_without_its_folder_shows_the_small_pictures(
-    browser: Browser, folder: Path, tmp_path: Path
-):
-    shutil.copy(folder / "report.html", tmp_path)
-    show(browser, tmp_path)
-    for layer in LAYERS:
-        browser.find_element(By.CSS_SELECTOR, f"label:has(#layer-{layer})").click()
-        picture = settled(browser, SMALL)
-        assert told(picture, "src").startswith("data:image/")
-        WebDriverWait(browser, 5).until(
-            lambda _: browser.find_element(By.ID, "small").is_displayed()
-        )
-    press(browser, "3", Keys.ARROW_LEFT)
-    np.testing.assert_allclose(colour(settled(browser, SMALL)), np.ones(3), atol=0.03)
-    assert all("ERR_FILE_NOT_FOUND" in said for said in browser.complaints())
-    assert browser.strangers() == []
+def test_the_same_run_gives_the_same_page(tmp_path: Path):
+    located = run(tmp_path, NAMES[:2])
+    pages = []
+    for _ in range(2):
+        write(tmp_path / "out", located)
+        html = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+        pages.append(re.sub(r"\d{4}-\d\d-\d\d(T[\d:+]+)?", "", html))
+    assert pages[0] == pages[1]
 
 
-def test_without_scripts_all_views_are_there_and_the_layers_can_be_chosen(page: Browser):
-    page.execute_cdp_cmd("Emulation.setScriptExecutionDisabled", {"value": True})
-    try:
-        page.refresh()
-        assert not page.find_element(By.ID, "stage").is_displayed()
-        assert not page.find_element(By.ID, "sort").is_displayed()
-        assert order(page) == NAMES
-        page.find_element(By.CSS_SELECTOR, "label:has(#layer-masks)").click()
-        for item in items(page):
-            shown = [x for x in item.find_elements(By.TAG_NAME, "img") if x.is_displayed()]
-            assert [x.get_dom_attribute("data-layer") for x in shown] == ["masks"]
-            assert shown[0].get_property("naturalWidth") == SMALL
-    finally:
-        page.execute_cdp_cmd("Emulation.setScriptExecutionDisabled", {"value": False})
+def test_hostile_names_are_escaped_and_their_images_are_found(tmp_path: Path):
+    page = write(tmp_path / "out", run(tmp_path, HOSTILE, warnings=list(HOSTILE)))
+    assert len(page.all("script")) == 1
+    assert len(page.all("style")) == 1
+    for name in HOSTILE:
+        assert page.text.count(" ".join(name.split())) == 2, "one view and one warning"
+    for image in thumbnails(page):
+        assert (tmp_path / "out" / unquote(image["data-full"])).is_file()
+        assert re.fullmatch(r"[\w./%~-]+", image["data-full"], flags=re.ASCII)
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("width", [1280, 400])
-def test_both_schemes_are_legible_at_any_width(
-    browser: Browser, folder: Path, scheme: str, width: int
-):
-    show(browser, folder, width=width, scheme=scheme)
-    paper = browser.execute_script("return getComputedStyle(document.body).backgroundColor")
-    brightness = np.mean([int(x) for x in paper[4:-1].split(",")])
-    assert brightness > 200 if scheme == "light" else brightness < 60
-    ratios = browser.execute_script(CONTRAST)
-    assert len(ratios) > 150
-    assert any("<text" in html for _, html in ratios)
-    assert [html for ratio, html in ratios if ratio < 4.5] == []
-    wide = browser.execute_script("return document.documentElement.scrollWidth")
-    assert wide <= width
-    assert browser.complaints() == []
+def test_page_without_a_detector(tmp_path: Path):
+    located = run(tmp_path, NAMES[:3], probabilities={}, reliability={}, early_stopping=None)
+    page = write(tmp_path / "out", located)
+    assert [radio["value"] for radio in page.all("input")] == ["render", "masks", "overlay"]
+    assert "No 2D detector was used" in page.text
+    assert "probability map" not in page.text.lower()
+    assert "reliability" not in [option["value"] for option in page.all("option")]
 
 
-def test_alternative_texts_names_and_roles(page: Browser):
-    tree = page.execute_cdp_cmd("Accessibility.getFullAXTree", {})["nodes"]
-    said = [
-        (node["role"]["value"], node.get("name", {}).get("value", ""))
-        for node in tree
-        if not node["ignored"]
-    ]
-    for role in ("image", "link", "button", "radio", "combobox", "region"):
-        names = [name for kind, name in said if kind == role]
-        assert names, role
-        assert all(names), f"a {role} without a name"
-    assert ("radio", "Detector mask") in said
-    assert all(image.get_property("alt") for image in page.find_elements(By.TAG_NAME, "img"))
+def test_missing_layers_are_explained(tmp_path: Path):
+    located = run(tmp_path, NAMES[:3])
+    del located.result.probabilities[NAMES[1]], located.result.reliability[NAMES[1]]
+    page = write(tmp_path / "out", located)
+    assert page.text.count("The detector was not run on this view.") == 1
+    assert "probability maps of 2 of 3 views" in page.text
+    page = write(tmp_path / "plain", located, pictures=False)
+    assert [radio["value"] for radio in page.all("input")] == ["detector", "masks"]
 
 
-def test_hostile_names_do_no_harm_and_have_their_pictures(browser: Browser, tmp_path: Path):
-    write(tmp_path / "out", run(tmp_path, HOSTILE, size=(LARGE, 420)))
-    show(browser, tmp_path / "out")
-    title = browser.title
-    for _ in HOSTILE:
-        settled(browser)
-        assert named(browser) in HOSTILE
-        press(browser, Keys.ARROW_RIGHT)
-    assert browser.title == title
-    assert "pwned" not in title
-    assert browser.complaints() == []
-    assert browser.strangers() == []
+def test_page_of_an_authentic_scene(tmp_path: Path):
+    nothing = np.zeros(400, bool)
+    changes = {"labels": nothing, "tamper": np.zeros(400, np.float32), "verdict": 0.004}
+    located = run(tmp_path, NAMES[:2], **changes, reliability={}, warnings=[])
+    page = write(tmp_path / "out", located)
+    assert wording.headline(0.004, 0) in page.text
+    assert "<1% scene probability" in page.text
+    assert "None of 400 Gaussians" in page.text
+    assert not [section for section in page.all("section") if section.get("id") == "attributes"]
+    assert not [section for section in page.all("section") if section.get("class") == "warnings"]
 
 
-def test_two_hundred_views_fit_into_a_page_and_their_strip_follows(
-    browser: Browser, tmp_path: Path
-):
-    names = [f"frame_{i:05}" for i in range(200)]
-    write(tmp_path / "out", run(tmp_path, names, size=(240, 160)))
-    show(browser, tmp_path / "out")
-    assert len(items(browser)) == 200
-    assert "frame_00006" in told(settled(browser, 240), "src")
-    press(browser, *[Keys.ARROW_LEFT] * 10)
-    assert named(browser) == "frame_00196"
-    chosen, strip = (
-        browser.find_element(By.CSS_SELECTOR, x).rect for x in ("#strip [aria-current]", "#strip")
-    )
-    assert (
-        strip["y"] <= chosen["y"] < chosen["y"] + chosen["height"] <= strip["y"] + strip["height"]
-    )
-    assert browser.complaints() == []
+def test_labels_are_conditional_if_the_scene_probability_is_low(tmp_path: Path):
+    page = write(tmp_path / "out", run(tmp_path, NAMES[:1], verdict=0.49))
+    assert wording.headline(0.49, 100) in page.text
+    assert "If the scene was edited: 100 of 400" in page.text
+
+
+@pytest.mark.parametrize("method", ["official", "paper"])
+def test_methods_without_a_scene_probability(tmp_path: Path, method: str):
+    changes = {"verdict": None, "reliability": {}, "prior": None, "early_stopping": None}
+    located = run(tmp_path, NAMES[:2], estimator=METHODS[method], **changes)
+    page = write(tmp_path / "out", located)
+    assert wording.headline(None, 100) in page.text
+    assert "scene probability: that" not in page.text
+    assert f"the method {method} uses masks only" in page.text
+    assert f"the method {method} trusts all masks equally" in page.text
+    assert "loop.lambda2" in page.text
+
+
+DEGENERATE = {
+    "one value": {"tamper": np.zeros(400, np.float32)},
+    "all tampered": {"labels": np.ones(400, bool)},
+    "nothing seen": {"seen": np.zeros(400, bool), "labels": np.zeros(400, bool)},
+    "another threshold": {"estimator": METHODS["paper"]},
+}
+
+
+@pytest.mark.parametrize("changes", DEGENERATE.values(), ids=DEGENERATE)
+def test_degenerate_results_have_a_page(tmp_path: Path, changes: dict):
+    page = write(tmp_path / "out", run(tmp_path, NAMES[:1], **changes))
+    assert "Histogram of the scores" in page.text
+    assert not re.search(r"\b(nan|inf|None(?! of)|undefined)\b", page.text)
+
+
+def test_every_view_is_rendered_and_marked(tmp_path: Path):
+    located, out = run(tmp_path, NAMES[:5]), tmp_path / "out"
+    steps: list[tuple[str, int, int]] = []
+    monitor = Monitor(lambda *step: steps.append(step))
+    write_results(out, located.scene, located.cameras, located.result, monitor=monitor)
+    write_report(out, {"scene": "x"}, located, monitor=monitor)
+    assert len([*(out / "render").iterdir()]) == len([*(out / "overlay").iterdir()]) == 5
+    assert Path(out / "overview.png").is_file()
+    assert steps.count(("write", 5, 5)) == steps.count(("report", 5, 5)) == 1
+    render, marked = (iio.imread(out / kind / "view 00.jpg") for kind in ("render", "overlay"))
+    mask = located.result.masks["view 00"]
+    inside = np.asarray(binary_dilation(mask, iterations=4), bool)
+    assert np.abs(render[inside].astype(int) - marked[inside]).mean() > 20
+    assert np.abs(render[~inside].astype(int) - marked[~inside]).mean() < 2

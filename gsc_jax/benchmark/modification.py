@@ -1,0 +1,211 @@
+"""Modification: change the colour, texture, size or shape of a region of a scene.
+
+Colours change by a map of RGB that applies to all harmonics. Size and shape change by a warp of
+space, which acts on a Gaussian by its Jacobian J: the covariance S becomes J S J^T, from which
+scales and rotation are decomposed again.
+"""
+
+import dataclasses
+import itertools
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from gsc_jax.benchmark.edits import EditRejected, ProposedEdit
+from gsc_jax.benchmark.regions import (
+    OBJECT_CONTRAST,
+    Region,
+    Visibility,
+    draw_seeds,
+    grow_region,
+)
+from gsc_jax.render.spherical_harmonics import Y0
+from gsc_jax.scene import Gaussians
+
+Warp = Callable[[jax.Array], jax.Array]
+
+MIN_REGION_ROWS = 8
+"""Regions of fewer Gaussians are rejected: too few for a visible change."""
+KINDS = ("colour", "texture", "scale", "shape")
+
+
+def modify_region(
+    gaussians: Gaussians, visibility: Visibility, size: float, rng: np.random.Generator
+) -> ProposedEdit:
+    """Change a random region that covers `size`, a median share of the pixels, in a random way.
+
+    Raises:
+        EditRejected: if the region has too few Gaussians.
+    """
+    kind = str(rng.choice(KINDS))
+    factor = rng.uniform(1.3, 1.7) if kind == "scale" else 1.0
+    seed = draw_seeds(visibility, 1, rng)[0]
+    region = grow_region(gaussians, visibility, seed, size / factor**2, contrast=OBJECT_CONTRAST)
+    if len(region.rows) < MIN_REGION_ROWS:
+        raise EditRejected(f"a region of {len(region.rows)} Gaussians")
+    before = gaussians.take(region.rows)
+    if kind == "colour":
+        after, change = recolour(before, rng)
+    elif kind == "texture":
+        after, change = add_pattern(before, region, rng)
+    elif kind == "scale":
+        after = warp_gaussians(before, scaling(region, factor))
+        change = f"made {factor:.1f} times as large"
+    else:
+        after, change = _reshape(before, region, rng)
+    # A warp that fades out leaves the border as it was: those rows stay authentic to the bit.
+    rows = np.flatnonzero(_changed_rows(before, after, region.radius))
+    labels = np.zeros(len(gaussians), bool)
+    labels[region.rows[rows]] = True
+    return ProposedEdit(
+        _with_rows(gaussians, region.rows[rows], after.take(rows)),
+        labels,
+        f"a region of {len(rows):,} Gaussians, {change}",
+        gaussians,
+    )
+
+
+def warp_gaussians(gaussians: Gaussians, warp: Warp) -> Gaussians:
+    """Move Gaussians by a map of points (3,), and reshape them by its Jacobian."""
+    from scipy.spatial.transform import Rotation
+
+    means = jnp.asarray(gaussians.means)
+    # One compilation instead of one per operation, since each region has another size.
+    moved, jacobians = jax.jit(jax.vmap(lambda x: (warp(x), jax.jacfwd(warp)(x))))(means)
+    rotations = Rotation.from_quat(np.asarray(gaussians.rotations), scalar_first=True).as_matrix()
+    axes, scales, _ = np.linalg.svd(
+        np.asarray(jacobians, np.float64) @ rotations * np.asarray(gaussians.scales)[:, None]
+    )
+    axes, scales = _match_axes(rotations, axes, scales)
+    quats = Rotation.from_matrix(axes).as_quat(scalar_first=True)
+    before = np.asarray(gaussians.quats, np.float64)
+    quats *= np.sign(np.sum(quats * before, axis=1, keepdims=True) + 1e-30)
+    return dataclasses.replace(
+        gaussians,
+        means=np.asarray(moved),
+        log_scales=np.log(np.maximum(scales, 1e-30)).astype(np.float32),
+        quats=(quats * np.linalg.norm(before, axis=1, keepdims=True)).astype(np.float32),
+    )
+
+
+def _match_axes(
+    rotations: np.ndarray, axes: np.ndarray, scales: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Order and orient axes (N, 3, 3) like the columns of rotations, and their scales likewise.
+
+    The singular value decomposition sorts them by size, which would reveal every warped Gaussian.
+    """
+    match = np.einsum("nij,nik->njk", rotations, axes)
+    orders = np.array(list(itertools.permutations(range(3))))
+    agreement = np.abs(match[:, np.arange(3), orders]).sum(axis=-1)
+    order = orders[np.argmax(agreement, axis=1)]
+    axes = np.take_along_axis(axes, order[:, None], axis=2)
+    axes = axes * np.sign(np.sum(axes * rotations, axis=1, keepdims=True) + 1e-30)
+    axes[..., 2] *= np.sign(np.linalg.det(axes))[:, None]
+    return axes, np.take_along_axis(scales, order, axis=1)
+
+
+def _changed_rows(before: Gaussians, after: Gaussians, radius: float) -> np.ndarray:
+    """Mask of the rows whose position, size, rotation or colour changed, shape (N,)."""
+    tolerances = {"means": 1e-3 * radius, "log_scales": 1e-2, "quats": 1e-2, "sh": 1e-3}
+    differs = [
+        np.abs(np.asarray(getattr(after, name)) - getattr(before, name)) > tolerance
+        for name, tolerance in tolerances.items()
+    ]
+    return np.any([d.reshape(len(d), -1).any(axis=1) for d in differs], axis=0)
+
+
+def recolour(gaussians: Gaussians, rng: np.random.Generator) -> tuple[Gaussians, str]:
+    """Rotate the hue of all harmonics and shift the base colour; also describe the change."""
+    from scipy.spatial.transform import Rotation
+
+    angle = rng.uniform(80, 280)
+    # A rotation about the grey axis of RGB keeps 0.5 + Y h consistent for every harmonic h.
+    rotation = Rotation.from_rotvec(np.radians(angle) * np.ones(3) / np.sqrt(3)).as_matrix()
+    sh = np.asarray(gaussians.sh) @ rotation.T
+    shift = rng.choice([-1, 1]) * rng.uniform(0.05, 0.15) + _tint(rng, 0.2)
+    sh[:, 0] += shift / Y0
+    recoloured = dataclasses.replace(gaussians, sh=sh.astype(np.float32))
+    return recoloured, f"its hue turned by {angle:.0f} degrees and its colour shifted"
+
+
+def add_pattern(
+    gaussians: Gaussians, region: Region, rng: np.random.Generator
+) -> tuple[Gaussians, str]:
+    """Add stripes or checks of another colour to a region; also describe the change."""
+    wavelength = rng.uniform(0.25, 0.5) * region.radius
+    axes = np.linalg.svd(np.cross(region.towards, np.eye(3)))[2][:2]
+    phases = 2 * np.pi * (np.asarray(gaussians.means) - region.center) @ axes.T / wavelength
+    checks = rng.random() < 0.5
+    pattern = np.sin(phases[:, 0]) * (np.sin(phases[:, 1]) if checks else 1)
+    sh = np.array(gaussians.sh)
+    sh[:, 0] += np.where(pattern > 0, 1, -1)[:, None] * (_tint(rng, 0.15) + 0.12) / Y0
+    patterned = dataclasses.replace(gaussians, sh=sh.astype(np.float32))
+    return patterned, f"{'checks' if checks else 'stripes'} {wavelength:.2g} wide printed on it"
+
+
+def _reshape(before: Gaussians, region: Region, rng: np.random.Generator) -> tuple[Gaussians, str]:
+    if rng.random() < 0.5:
+        angle = rng.choice([-1, 1]) * rng.uniform(90, 200)
+        after = warp_gaussians(before, twist(region, np.radians(angle)))
+        return after, f"its middle twisted by {angle:.0f} degrees"
+    height = rng.uniform(0.4, 0.8) * region.radius
+    return warp_gaussians(before, bulge(region, height)), f"its middle lifted by {height:.2g}"
+
+
+def scaling(region: Region, factor: float) -> Warp:
+    """Warp that scales a region about its centre."""
+    center = jnp.asarray(region.center, jnp.float32)
+    # A small shift towards the cameras keeps an enlarged sheet in front of its surroundings.
+    lift = jnp.asarray(0.03 * region.radius * region.towards, jnp.float32)
+    return lambda x: center + lift + jnp.float32(factor) * (x - center)
+
+
+def twist(region: Region, angle: float) -> Warp:
+    """Warp that rotates a region about the direction to the cameras, most at its centre."""
+
+    def warp(x):
+        center, axis, along, across, decay = _split(x, region)
+        turn = jnp.float32(angle) * decay
+        turned = jnp.cos(turn) * across + jnp.sin(turn) * jnp.cross(axis, across)
+        return center + along + turned
+
+    return warp
+
+
+def bulge(region: Region, height: float) -> Warp:
+    """Warp that shifts a region towards the cameras, most at its centre."""
+
+    def warp(x):
+        _, axis, _, _, decay = _split(x, region)
+        return x + jnp.float32(height) * decay * axis
+
+    return warp
+
+
+def _split(x: jax.Array, region: Region) -> tuple[jax.Array, ...]:
+    """Centre, axis, offset along and across the axis, and decay from 1 on the axis to 0."""
+    axis, center = (jnp.asarray(v, jnp.float32) for v in (region.towards, region.center))
+    offset = x - center
+    along = jnp.dot(offset, axis) * axis
+    across = offset - along
+    decay = jnp.maximum(1 - jnp.dot(across, across) / (1.2 * region.radius) ** 2, 0.0)
+    return center, axis, along, across, decay**2
+
+
+def _tint(rng: np.random.Generator, strength: float) -> np.ndarray:
+    """Random shift of RGB that does not change grey."""
+    tint = rng.normal(size=3)
+    tint -= tint.mean()
+    return strength * tint / np.linalg.norm(tint)
+
+
+def _with_rows(gaussians: Gaussians, rows: np.ndarray, changed: Gaussians) -> Gaussians:
+    def put(leaf, new):
+        leaf = np.array(leaf)
+        leaf[rows] = new
+        return leaf
+
+    return jax.tree.map(put, gaussians, changed)

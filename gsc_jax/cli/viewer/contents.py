@@ -1,0 +1,133 @@
+"""What the viewer shows of a folder of results; the same for the served and the written page."""
+
+import dataclasses
+
+import numpy as np
+
+from gsc_jax.cli.report.wording import headline, labels_sentence, percent, share
+from gsc_jax.cli.results import Results
+from gsc_jax.cli.viewer.poses import Pose, pose
+from gsc_jax.cli.viewer.splats import Splats, heat, largest, splats
+from gsc_jax.render.orbit import mean_up
+
+MAX_DEPTH_SAMPLES = 20_000
+"""Gaussians from which the depth of each view is estimated; more do not change a median."""
+FRUSTUM_SCALE = 0.08
+"""Size of a drawn camera relative to its distance from what it looks at."""
+LEGEND_COLOURS = 9
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Contents:
+    """What a viewer shows.
+
+    Attributes:
+        title: Name of the folder of results.
+        sentences: What the run found.
+        splats: N splats in the colours of the scene.
+        score: Scores, shape (N,) float32.
+        threshold: Score above which the run labelled a Gaussian as tampered.
+        poses: Cameras of the run, at least one; the viewer starts at the first.
+        up: Unit up direction, shape (3,).
+        near: Near plane in world units.
+        far: Far plane in world units.
+        frustum: Size of a drawn camera in world units.
+    """
+
+    title: str
+    sentences: list[str]
+    splats: Splats
+    score: np.ndarray
+    threshold: float
+    poses: list[Pose]
+    up: np.ndarray
+    near: float
+    far: float
+    frustum: float
+
+
+def viewer_contents(results: Results, *, most: int) -> tuple[Contents, list[str]]:
+    """Prepare results for a viewer.
+
+    Args:
+        results: Results of `locate`.
+        most: Maximum number of Gaussians.
+
+    Returns:
+        The contents, and notes for the user.
+    """
+    rows = largest(results.gaussians, most, first=results.labels)
+    chosen = splats(results.gaussians.take(rows))
+    means = np.asarray(results.gaussians.means)
+    sample = means[np.linspace(0, len(means) - 1, min(len(means), MAX_DEPTH_SAMPLES)).astype(int)]
+    near = float(results.report["config"]["near"])
+    up = mean_up(results.cameras)
+    poses = [pose(camera, sample, up=up, near=near) for camera in results.cameras]
+    distances = [np.linalg.norm(place.look_at - place.position) for place in poses]
+    contents = Contents(
+        title=results.folder.resolve().name,
+        sentences=_sentences(results),
+        splats=chosen,
+        score=results.tamper[rows],
+        threshold=results.threshold,
+        poses=poses,
+        up=up,
+        near=near,
+        far=_far(chosen.centers, poses),
+        frustum=FRUSTUM_SCALE * float(np.median(distances)),
+    )
+    return contents, _omission(results, rows)
+
+
+def count_sentence(score: np.ndarray, threshold: float) -> str:
+    """State how many of the scores (N,) are above a threshold."""
+    above = int(np.count_nonzero(score > threshold))
+    return f"{above:,} of {len(score):,} Gaussians ({share(above / len(score))}) score above it."
+
+
+def legend() -> str:
+    """The colours of the heat map with their scores, as HTML."""
+    levels = np.rint(255 * heat(np.linspace(0, 1, LEGEND_COLOURS))).astype(int)
+    colours = ", ".join(f"rgb({red}, {green}, {blue})" for red, green, blue in levels)
+    return (
+        '<div style="padding: 0 1em 0.5em; font-size: 0.85em">'
+        '<div style="display: flex; justify-content: space-between">'
+        "<span>0 authentic</span><span>score</span><span>tampered 1</span></div>"
+        '<div style="height: 0.8em; border-radius: 2px; '
+        f'background: linear-gradient(to right, {colours})"></div></div>'
+    )
+
+
+def _sentences(results: Results) -> list[str]:
+    report, verdict = results.report, results.report.get("verdict")
+    tampered = report["counts"]["tampered"]
+    labels = labels_sentence(
+        tampered,
+        report["counts"]["gaussians"],
+        verdict=verdict,
+        views=len(report["per_view"]),
+        covered=report["tampered_share_of_views"],
+    )
+    if verdict is None:
+        return [labels]
+    return [
+        headline(verdict, tampered),
+        f"{labels} The scene probability of an edit is {percent(verdict)}.",
+    ]
+
+
+def _far(points: np.ndarray, poses: list[Pose]) -> float:
+    """Twice the diagonal of the box around all points, cameras and their targets."""
+    places = [place for pose in poses for place in (pose.position, pose.look_at)]
+    return 2 * float(np.linalg.norm(np.ptp(np.concatenate([points, places]), axis=0)))
+
+
+def _omission(results: Results, rows: np.ndarray) -> list[str]:
+    omitted = len(results.labels) - len(rows)
+    if not omitted:
+        return []
+    tampered = int(results.labels.sum() - results.labels[rows].sum())
+    return [
+        f"shows {len(rows):,} of {len(results.labels):,} Gaussians: the {omitted:,} of smallest "
+        f"opacity times area are omitted ({tampered:,} of them tampered); --most N shows more"
+    ]

@@ -1,0 +1,115 @@
+"""The panel of the served viewer: layer, threshold, background and cameras.
+
+The splats are sent once. Layers differ in colours and opacities only, which are sent again when
+they change: with one node per layer the browser would store and sort all of them.
+"""
+
+import threading
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from gsc_jax.cli.viewer.contents import Contents, count_sentence, legend
+from gsc_jax.cli.viewer.poses import Pose
+from gsc_jax.cli.viewer.scene import CAMERAS, add_cameras, add_splats
+from gsc_jax.cli.viewer.splats import LAYERS, Layer, layer_colours
+
+if TYPE_CHECKING:
+    import viser
+
+THRESHOLD_STEP = 0.001
+
+
+class LayerInputs(NamedTuple):
+    """The inputs that select a layer."""
+
+    layer: "viser.GuiDropdownHandle[Layer]"
+    threshold: "viser.GuiInputHandle[float]"
+
+
+def add_viewer(server: "viser.ViserServer", contents: Contents) -> None:
+    """Add the scene and the panel to a server."""
+    gui = server.gui
+    gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
+    gui.add_markdown("\n\n".join(contents.sentences))
+    add_layer_controls(server, contents)
+    background = gui.add_rgb("background", (0, 0, 0))
+
+    @background.on_update
+    def fill(_: object) -> None:
+        server.scene.set_background_image(np.full((1, 1, 3), background.value, np.uint8))
+
+    fill(None)
+    _add_camera_controls(server, contents)
+
+
+def add_layer_controls(server: "viser.ViserServer", contents: Contents) -> LayerInputs:
+    """Add the splats, and inputs that select their layer and threshold."""
+    gui, splats = server.gui, contents.splats
+    node = add_splats(server, "/gaussians", splats)
+    layer = gui.add_dropdown("show", LAYERS, initial_value=LAYERS[0])
+    threshold = gui.add_slider("threshold", 0.0, 1.0, THRESHOLD_STEP, contents.threshold)
+    count = gui.add_markdown("")
+    gui.add_html(legend())
+    lock, sent = threading.Lock(), (LAYERS[0], 0.0)
+
+    def update(_: object = None) -> None:
+        nonlocal sent
+        # Callbacks run in several threads. The lock orders them, and each reads the newest values:
+        # the first to enter sends the result of several quick changes.
+        with lock:
+            chosen: Layer = layer.value
+            count.content = count_sentence(contents.score, threshold.value)
+            wanted = (chosen, threshold.value if chosen.endswith("only") else 0.0)
+            if wanted == sent:
+                return
+            sent = wanted
+            rgbs, opacities = layer_colours(splats, contents.score, chosen, threshold.value)
+            node.set_gaussians(node.centers, node.covariances, rgbs, opacities)
+
+    layer.on_update(update)
+    threshold.on_update(update)
+    update()
+    return LayerInputs(layer, threshold)
+
+
+def _add_camera_controls(server: "viser.ViserServer", contents: Contents) -> None:
+    """Draw the cameras; jump to them by name, one after the other, or by a click."""
+    gui, poses = server.gui, contents.poses
+    names = [pose.name for pose in poses]
+    frame = server.scene.add_frame(CAMERAS, show_axes=False)
+    frustums = add_cameras(server, contents)
+    with gui.add_folder("cameras"):
+        visible = gui.add_checkbox("visible", True)
+        chosen = gui.add_dropdown("camera", names, initial_value=names[0])
+        steps = gui.add_button_group("jump", ("previous", "here", "next"))
+
+    def jump(client: "viser.ClientHandle | None", index: int) -> None:
+        if client is not None:
+            chosen.value = names[index % len(names)]
+            set_view(client, poses[index % len(names)])
+
+    @visible.on_update
+    def _(_: object) -> None:
+        frame.visible = visible.value
+
+    @chosen.on_update
+    def _(event: "viser.GuiEvent") -> None:
+        jump(event.client, names.index(chosen.value))
+
+    @steps.on_click
+    def _(event: "viser.GuiEvent") -> None:
+        step = {"previous": -1, "here": 0, "next": 1}[steps.value]
+        jump(event.client, names.index(chosen.value) + step)
+
+    for index, frustum in enumerate(frustums):
+        frustum.on_click(lambda event, index=index: jump(event.client, index))
+
+
+def set_view(client: "viser.ClientHandle", pose: Pose) -> None:
+    """Move the view of one browser to a camera."""
+    with client.atomic():
+        client.camera.up_direction = pose.up
+        client.camera.position = pose.position
+        client.camera.look_at = pose.look_at
+        client.camera.fov = pose.fov

@@ -1,0 +1,169 @@
+"""An ONNX network whose inputs and outputs are checked against the expected types and shapes."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from gsc_jax.detectors.session import CPU, open_session, single_line
+from gsc_jax.scene import InputError
+
+Shape = Sequence[int | str | None]
+
+FLOATS: Mapping[str, type] = {"tensor(float)": np.float32, "tensor(float16)": np.float16}
+NUMBERS: Mapping[str, type] = {
+    **FLOATS,
+    "tensor(int32)": np.int32,
+    "tensor(int64)": np.int64,
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class TensorSpec:
+    """Expected type and shape of an input or output.
+
+    Attributes:
+        role: Its name in error messages.
+        shape: Its sides, None where any length is valid; a name stands for a length that is the
+            same in all tensors of the network. None for any shape.
+        types: NumPy type of each valid ONNX type; None for any type, of outputs only.
+    """
+
+    role: str
+    shape: tuple[int | str | None, ...] | None
+    types: Mapping[str, type] | None = dataclasses.field(default_factory=lambda: FLOATS)
+
+
+class Network:
+    """An ONNX model that is checked when it is loaded, as far as it declares shapes, and when run.
+
+    Attributes:
+        path: The model.
+        providers: Execution providers in use.
+        inputs: The inputs, with `name`, `type` and declared `shape`; a free side is a name or None.
+        outputs: The computed outputs, likewise; the shape is empty if the model declares none.
+        sides: Declared lengths of the named sides of the specs.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        inputs: Sequence[TensorSpec],
+        outputs: Mapping[int | str, TensorSpec],
+        *,
+        providers: Sequence[str] = CPU,
+        threads: int = 0,
+    ):
+        """Load a model and check its inputs and outputs.
+
+        Args:
+            path: The .onnx file.
+            inputs: All inputs, in the order of the model.
+            outputs: Outputs to compute, by position or name; the model may have others.
+            providers: See `open_session`.
+            threads: See `open_session`.
+
+        Raises:
+            InputError: If the file is not a valid model, or its tensors differ from the specs.
+        """
+        self.path = path
+        self._session = open_session(path, providers=providers, threads=threads)
+        self._input_specs, self._output_specs = tuple(inputs), tuple(outputs.values())
+        self.providers = self._session.get_providers()
+        self.inputs = self._session.get_inputs()
+        self.outputs = [self._find_output(key) for key in outputs]
+        self.sides: dict[str, int] = {}
+        self._check_declarations()
+
+    def run(self, *arrays: np.ndarray, view: str) -> list[np.ndarray]:
+        """Compute the outputs, float32.
+
+        Args:
+            arrays: One array per input; converted to the type of the input.
+            view: Name of the view, for error messages.
+
+        Raises:
+            InputError: If the inference fails, or an output has an unexpected shape.
+        """
+        pairs = list(zip(self.inputs, arrays, strict=True))
+        feed = {tensor.name: array.astype(NUMBERS[tensor.type]) for tensor, array in pairs}
+        try:
+            found = self._session.run([tensor.name for tensor in self.outputs], feed)
+        except Exception as error:  # the errors of onnxruntime have no common base class
+            given = ", ".join(f"{tensor.name} {shape_text(array.shape)}" for tensor, array in pairs)
+            raise InputError(
+                f"{self.path}: the model fails on view {view!r} with {given}: "
+                f"{single_line(error)}; export the model for this shape"
+            ) from error
+        outputs = [np.asarray(array, np.float32) for array in found]
+        sides = dict(self.sides)
+        for tensor, spec, array in zip(
+            (*self.inputs, *self.outputs),
+            (*self._input_specs, *self._output_specs),
+            (*arrays, *outputs),
+            strict=True,
+        ):
+            self._check(tensor, array.shape, spec, sides)
+        return outputs
+
+    def _find_output(self, key: int | str):
+        """Output of the session at a position or with a name."""
+        outputs = self._session.get_outputs()
+        for position, tensor in enumerate(outputs):
+            if key in (position, tensor.name):
+                return tensor
+        names = ", ".join(tensor.name for tensor in outputs)
+        raise InputError(f"{self.path}: has no output {key!r}, expected one of {names}")
+
+    def _check_declarations(self) -> None:
+        """Compare the declared types and shapes with the expected ones."""
+        if len(self.inputs) != len(self._input_specs):
+            found = ", ".join(tensor.name for tensor in self.inputs)
+            expected = ", ".join(spec.role for spec in self._input_specs)
+            raise InputError(
+                f"{self.path}: has {len(self.inputs)} inputs ({found}), expected "
+                f"{len(self._input_specs)} ({expected}); export it with these, in this order"
+            )
+        specs = (*self._input_specs, *self._output_specs)
+        for tensor, spec in zip((*self.inputs, *self.outputs), specs, strict=True):
+            # onnxruntime returns an empty shape if the model declares none.
+            self._check(tensor, tensor.shape or spec.shape or (), spec, self.sides)
+
+    def _check(self, tensor, shape: Shape, spec: TensorSpec, sides: dict[str, int]) -> None:
+        """Compare a tensor with its spec, and add the lengths of its named sides to `sides`."""
+        number = tensor.type.startswith("tensor(") and tensor.type != "tensor(string)"
+        type_fits = number if spec.types is None else tensor.type in spec.types
+        if type_fits and (spec.shape is None or _bind(shape, spec.shape, sides)):
+            return
+        types = " or ".join(FLOATS if spec.types is None else spec.types)
+        expected = "" if spec.shape is None else f" of shape {shape_text(spec.shape, sides)}"
+        raise InputError(
+            f"{self.path}: {tensor.name!r} is {tensor.type} of shape {shape_text(shape)}, expected "
+            f"the {spec.role}, {types}{expected}; export the model with this type and shape"
+        )
+
+
+def _bind(shape: Shape, expected: Shape, sides: dict[str, int]) -> bool:
+    """Whether a shape fits the expected one; adds the lengths of its named sides."""
+    for found, side in zip(shape, expected, strict=False):
+        wanted = sides.get(side) if isinstance(side, str) else side
+        if isinstance(found, int) and wanted not in (None, found):
+            return False
+        if isinstance(found, int) and isinstance(side, str):
+            sides[side] = found
+    return len(shape) == len(expected)
+
+
+def compatible(shape: Shape, other: Shape) -> bool:
+    """Whether two shapes can be equal; a side that is not a number equals any length."""
+    return len(shape) == len(other) and all(
+        one == two or not (isinstance(one, int) and isinstance(two, int))
+        for one, two in zip(shape, other, strict=True)
+    )
+
+
+def shape_text(shape: Shape, sides: Mapping[str, int] | None = None) -> str:
+    """Text of a shape with "?" for a free side and the lengths of named sides."""
+    known = {None: "?", **(sides or {})}
+    return "[" + ", ".join(str(known.get(side, side)) for side in shape) + "]"

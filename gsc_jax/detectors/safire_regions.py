@@ -1,0 +1,148 @@
+"""Forged region of an image from point-prompted masks, as in the test code of SAFIRE.
+
+SAFIRE (Kwon et al., AAAI 2025), binary localisation: the feature of a mask is the mean embedding
+inside it. Spherical k-means (cosine distance, k = 2) partitions the masks. The most confident mask
+represents each group, the smaller of the two is the forged region, and the probability is the mean
+of its mask and of the complement of the other.
+
+Differences, where the test code is unspecified or returns NaN:
+
+- Embeddings are weighted by the covered share of a cell. The test code samples cells, and a mask
+  that contains no sample has an undefined feature.
+- Empty masks and predictions that are not finite are ignored and counted.
+- k-means takes the best of several seeded starts. If a second group does not reduce the distance,
+  the image has one source, and nothing is flagged.
+- Nothing is flagged unless both confidences exceed 0.5. The confidence is trained towards the share
+  of correct pixels, so below 0.5 the complement of the mask would be the better prediction.
+"""
+
+import numpy as np
+from scipy.special import expit
+
+from gsc_jax.detectors.preprocessing import resize_bilinear
+
+MIN_CONFIDENCE = 0.5
+"""Lower bound of both confidences (see above)."""
+
+STARTS = 16
+"""Random starts of k-means; a test compares the result with all partitions of small sets."""
+MAX_ITERATIONS = 100
+"""Bound of Lloyd's iterations, which converge in a few; a safeguard against rounding cycles."""
+
+MIN_GAIN = 1e-6
+"""Smallest gain of cosine per mask by a second group; above the rounding of float32 embeddings."""
+
+SATURATED_LOGIT = 80.0
+"""Logits are clipped to this magnitude, at which a float32 sigmoid is 0 or 1, to interpolate."""
+
+
+def point_grid(count: int, *, side: int) -> np.ndarray:
+    """Centres of count x count cells of a square image, row by row.
+
+    Returns:
+        x and y in pixels, shape (count^2, 2) float32.
+    """
+    centres = (np.arange(count, dtype=np.float32) + np.float32(0.5)) * np.float32(side / count)
+    x, y = np.meshgrid(centres, centres)
+    return np.stack([x.ravel(), y.ravel()], axis=-1)
+
+
+def forged_region(
+    logits: np.ndarray,
+    confidences: np.ndarray,
+    embeddings: np.ndarray,
+    *,
+    side: int,
+    seed: int = 0,
+) -> tuple[np.ndarray, dict[str, int]]:
+    """Probability of tampering from the masks of many prompts.
+
+    Args:
+        logits: Masks, positive inside, shape (P, h, w).
+        confidences: Predicted quality of each mask, shape (P,).
+        embeddings: Embeddings of the image, shape (C, H, W); H divides h, W divides w.
+        side: Pixels per side of the result.
+        seed: Seed of the starts of k-means.
+
+    Returns:
+        Probability, shape (side, side) float32, 0 if nothing is flagged; and counts: "unusable"
+        predictions, "one_source" = 1 for an image of one source, "unsure" = 1 for low confidences.
+    """
+    directions = mask_directions(logits, embeddings)
+    usable = np.flatnonzero(np.isfinite(confidences) & np.isfinite(directions).all(axis=1))
+    counts = {"unusable": len(logits) - len(usable), "one_source": 0, "unsure": 0}
+    nothing = np.zeros((side, side), np.float32)
+    groups = two_groups(directions[usable], seed=seed)
+    if groups is None:
+        return nothing, counts | {"one_source": 1}
+    best = [max(usable[groups == k], key=lambda mask: confidences[mask]) for k in (0, 1)]
+    if not confidences[best].min() > MIN_CONFIDENCE:
+        return nothing, counts | {"unsure": 1}
+    forged, rest = sorted(best, key=lambda mask: ((logits[mask] > 0).sum(), confidences[mask]))
+    inside, outside = (
+        expit(resize_bilinear(logits[mask].clip(-SATURATED_LOGIT, SATURATED_LOGIT), (side, side)))
+        for mask in (forged, rest)
+    )
+    return (inside + 1 - outside) / 2, counts
+
+
+def mask_directions(logits: np.ndarray, embeddings: np.ndarray) -> np.ndarray:
+    """Direction of the mean embedding inside each mask.
+
+    Args:
+        logits: Masks, positive inside, shape (P, h, w).
+        embeddings: Shape (C, H, W); H divides h, W divides w.
+
+    Returns:
+        Unit vectors, shape (P, C) float64; NaN for a mask that is empty or contains NaN, and for a
+        mean that is zero or not finite.
+    """
+    count, height, width = logits.shape
+    channels, rows, columns = embeddings.shape
+    cells = (count, rows, height // rows, columns, width // columns)
+    covered = (logits > 0).reshape(cells).mean(axis=(2, 4)).reshape(count, -1)
+    with np.errstate(all="ignore"):  # invalid results are NaN, as documented
+        sums = covered @ embeddings.reshape(channels, -1).T.astype(np.float64)
+        directions = sums / np.linalg.norm(sums, axis=1, keepdims=True)
+    directions[np.isnan(logits).any(axis=(1, 2))] = np.nan
+    return directions
+
+
+def two_groups(directions: np.ndarray, *, seed: int = 0) -> np.ndarray | None:
+    """Partition directions by spherical k-means, k = 2: maximise the summed lengths of the sums.
+
+    The k-means of SciPy is Euclidean, so its border is closer to the narrower group.
+
+    Args:
+        directions: Unit vectors, shape (P, C).
+        seed: Seed of the starts, which are drawn as in k-means++.
+
+    Returns:
+        0 or 1 for each, shape (P,); None if two groups explain no more than one.
+    """
+    rng = np.random.default_rng(seed)
+    longest = np.linalg.norm(directions.sum(axis=0)) + MIN_GAIN * len(directions)
+    found = None
+    for _ in range(STARTS if len(directions) > 1 else 0):
+        first = directions[rng.integers(len(directions))]
+        distances = np.maximum(1 - directions @ first, 0)
+        if not distances.sum() > 0:
+            continue
+        second = directions[rng.choice(len(directions), p=distances / distances.sum())]
+        groups, length = _lloyd(directions, np.stack([first, second]))
+        if length > longest:
+            found, longest = groups, length
+    return found
+
+
+def _lloyd(directions: np.ndarray, centres: np.ndarray) -> tuple[np.ndarray, float]:
+    """Groups after Lloyd's iteration from two centres, and the summed lengths of their sums."""
+    groups, lengths = np.full(len(directions), -1), np.zeros(2)
+    for _ in range(MAX_ITERATIONS):
+        before, groups = groups, (directions @ centres.T).argmax(axis=1)
+        sums = np.stack([directions[groups == k].sum(axis=0) for k in (0, 1)])
+        lengths = np.linalg.norm(sums, axis=1)
+        if (groups == before).all() or not lengths.min() > 0:
+            break
+        centres = sums / lengths[:, None]
+    return groups, float(lengths.sum())

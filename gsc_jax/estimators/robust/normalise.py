@@ -1,0 +1,72 @@
+"""Evidence as visibility in [0, 1]: how well a view sees a Gaussian, and how much is flagged."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from gsc_jax.evidence.lifting import Evidence
+
+BLOCK = 2**15
+"""Gaussians whose evidence is in memory at once, 26 MB for 100 views."""
+
+
+def visibility(
+    evidence: Evidence, rows: np.ndarray | slice, half_weight: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Visibility of some Gaussians in each view, and the flagged part of it.
+
+    Args:
+        evidence: Evidence of V views, shapes (V, N).
+        rows: M of the N Gaussians.
+        half_weight: Weight in pixels at which the visibility is one half.
+
+    Returns:
+        total / (total + half_weight) and tampered / (total + half_weight), shapes (V, M).
+    """
+    total = np.asarray(evidence.total)[:, rows]
+    tampered = np.asarray(evidence.tampered)[:, rows]
+    scale = 1.0 / (total + np.float32(half_weight))
+    return total * scale, tampered * scale
+
+
+def summed_visibility(evidence: Evidence, half_weight: float) -> tuple[np.ndarray, np.ndarray]:
+    """`visibility` of all Gaussians summed over the views, shapes (N,)."""
+    sums = [
+        [part.sum(axis=0) for part in visibility(evidence, block, half_weight)]
+        for block in blocks(np.shape(evidence.total)[-1])
+    ]
+    seen, flagged = (np.concatenate(parts) for parts in zip(*sums, strict=True))
+    return seen, flagged
+
+
+def blocks(count: int) -> Iterator[slice]:
+    """Slices of at most `BLOCK` rows that cover `count` rows."""
+    return (slice(start, start + BLOCK) for start in range(0, count, BLOCK))
+
+
+def stratified_sample(
+    seen: np.ndarray, flagged: np.ndarray, size: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Sample Gaussians, half of them in proportion to how much of them is flagged.
+
+    The sample is systematic along the Gaussians ordered by the flagged share, so that it depends
+    neither on a seed nor on the order of the file.
+
+    Args:
+        seen: Visibility summed over the views, shape (N,).
+        flagged: Flagged part of it, shape (N,).
+        size: Number of Gaussians to sample, at most.
+
+    Returns:
+        Indices, shape (S,), and the number of Gaussians that each represents, shape (S,).
+    """
+    size = min(size, int(np.count_nonzero(seen)))
+    share = flagged / np.maximum(seen, 1e-30)
+    visible = np.minimum(seen, 1.0)
+    suspect = visible * share
+    density = visible / visible.sum() + suspect / max(suspect.sum(), 1e-30)
+    order = np.argsort(share, kind="stable")
+    cumulative = np.cumsum(density[order], dtype=np.float64)
+    steps = (np.arange(size) + 0.5) / size * cumulative[-1]
+    chosen = order[np.minimum(np.searchsorted(cumulative, steps), len(order) - 1)]
+    return chosen, 1.0 / density[chosen]

@@ -1,0 +1,68 @@
+"""Errors of pydantic as one line that names the file, the key, what was expected and found."""
+
+import difflib
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import pydantic
+
+UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
+
+
+def one_line(
+    error: pydantic.ValidationError, where: str, given: Any, *, known: Iterable[str] = ()
+) -> str:
+    """Describe the first invalid key of a validated table.
+
+    Args:
+        error: The error that pydantic raised for `given`.
+        where: The file, and the table in it if there are several: "net.toml".
+        given: The validated value, in which the key is located.
+        known: All valid keys, to suggest one for a misspelled key.
+
+    Returns:
+        "net.toml: size: expected greater than 0, found 0", or "net.toml: unknown key 'sise' (did
+        you mean 'size'?)". If the value fits none of several types, the line names all of them.
+    """
+    problems = error.errors(include_url=False)
+    first = problems[0]
+    key, found = _located(first["loc"], given)
+    if first["type"] in UNKNOWN_KEY:
+        return f"{where}: unknown key {key!r}{_suggestion(str(first['loc'][-1]), list(known))}"
+    name = f"{where}: {key}" if key else where
+    if first["type"].startswith("missing"):
+        last = first["loc"][-1]
+        return (
+            f"{name}: expected more values, found {found!r}"
+            if isinstance(last, int)
+            else (f"{name}: {last!r} is missing")
+        )
+    reasons = dict.fromkeys(
+        _reason(problem["msg"]) for problem in problems if _located(problem["loc"], given)[0] == key
+    )
+    return f"{name}: {' or '.join(reasons)}" + (f", found {found!r}" if key else "")
+
+
+def _located(location: Sequence[int | str], given: Any) -> tuple[str, Any]:
+    """A location as "loop.rates[2]", without pydantic's names of types, and the value there."""
+    key = ""
+    for step in location:
+        if isinstance(given, Mapping) and step in given:
+            given, key = given[step], f"{key}.{step}"
+        elif isinstance(given, list | tuple) and isinstance(step, int) and step < len(given):
+            given, key = given[step], f"{key}[{step}]"
+    return key.removeprefix("."), given
+
+
+def _reason(message: str) -> str:
+    """A message of pydantic in the words of this package."""
+    for prefix in ("Value error, ", "Assertion failed, "):
+        message = message.removeprefix(prefix)
+    return message.replace("Input should be", "expected", 1)
+
+
+def _suggestion(key: str, known: list[str]) -> str:
+    close = difflib.get_close_matches(key.lower(), known, n=1)
+    if close:
+        return f" (did you mean {close[0]!r}?)"
+    return f", expected one of {', '.join(known)}" if known else ""

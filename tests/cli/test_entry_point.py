@@ -1,0 +1,143 @@
+"""SIGINT and SIGTERM in real processes, at several moments of a run."""
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+from cli_case import FIXTURES, contents, given, record_network_views, report, run
+from onnx import TensorProto, helper, numpy_helper
+
+from gsc_jax.cli import detector_choice
+from gsc_jax.cli.staging import UNFINISHED
+
+case, found, own_cache = FIXTURES
+ROOT = Path(__file__).resolve().parents[2]
+# A shell that runs the tests in the background makes them, and their children, ignore SIGINT.
+START = (
+    "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler);"
+    "from gsc_jax.__main__ import main; sys.exit(main())"
+)
+EXIT_SECONDS = 60
+"""Longest time to exit after a signal on a busy machine; usually one or two seconds."""
+
+
+@contextlib.contextmanager
+def started(cache: Path, *argv: object, paths: tuple[Path, ...] = ()) -> Iterator[subprocess.Popen]:
+    """`gsc-jax` as a process with its own cache."""
+    places = os.pathsep.join(map(str, [*paths, ROOT]))
+    environment = {**os.environ, "XDG_CACHE_HOME": str(cache), "PYTHONPATH": places}
+    process = subprocess.Popen(
+        [sys.executable, "-c", START, *map(str, argv)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment,
+    )
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def interrupt(
+    process: subprocess.Popen, when: Callable[[], object], number: int = signal.SIGINT
+) -> None:
+    """Send a signal twice at a moment, and check the exit code and the message."""
+    deadline = time.monotonic() + 120
+    while not when():
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < deadline, "the moment never came"
+        time.sleep(0.02)
+    process.send_signal(number)
+    process.send_signal(number)
+    out, err = process.communicate(timeout=EXIT_SECONDS)
+    assert process.returncode == 128 + number
+    assert out == ""
+    assert err == "gsc-jax: interrupted; no file is left half written\n"
+
+
+def slow_network(path: Path, steps: int) -> Path:
+    """An ONNX model that flags red pixels, after a loop that signals cannot interrupt."""
+    body = helper.make_graph(
+        [
+            helper.make_node("Identity", ["go"], ["on"]),
+            helper.make_node("Add", ["sum", "nothing"], ["more"]),
+        ],
+        "step",
+        [
+            helper.make_tensor_value_info("step", TensorProto.INT64, []),
+            helper.make_tensor_value_info("go", TensorProto.BOOL, []),
+            helper.make_tensor_value_info("sum", TensorProto.FLOAT, [1]),
+        ],
+        [
+            helper.make_tensor_value_info("on", TensorProto.BOOL, []),
+            helper.make_tensor_value_info("more", TensorProto.FLOAT, [1]),
+        ],
+    )
+    weights = np.array([20, 0, -20], np.float32).reshape(1, 3, 1, 1)
+    graph = helper.make_graph(
+        [
+            helper.make_node("Loop", ["steps", "", "nothing"], ["late"], body=body),
+            helper.make_node("Conv", ["image", "weights", "bias"], ["red"]),
+            helper.make_node("Add", ["red", "late"], ["logit"]),
+            helper.make_node("Sigmoid", ["logit"], ["map"]),
+        ],
+        "slow",
+        [helper.make_tensor_value_info("image", TensorProto.FLOAT, [1, 3, "h", "w"])],
+        [helper.make_tensor_value_info("map", TensorProto.FLOAT, [1, 1, "h", "w"])],
+        [
+            numpy_helper.from_array(np.array(steps, np.int64), "steps"),
+            numpy_helper.from_array(np.zeros(1, np.float32), "nothing"),
+            numpy_helper.from_array(weights, "weights"),
+            numpy_helper.from_array(np.array([-2], np.float32), "bias"),
+        ],
+    )
+    opset = [helper.make_opsetid("", 17)]
+    onnx.save(helper.make_model(graph, opset_imports=opset, ir_version=8), path)
+    return path
+
+
+def test_while_a_network_runs(case, tmp_path, monkeypatch):
+    """Outputs of the network so far are cached, and the next run continues from them."""
+    cache, out = tmp_path / "cache", tmp_path / "out"
+    monkeypatch.setattr(detector_choice, "cache_folder", lambda: cache / "gsc_jax")
+    model = slow_network(tmp_path / "slow.onnx", 300_000)
+    assert run(*given(case), "--out", out).code == 0
+    before = contents(out)
+    argv = [*given(case, masks=None, detector=model), "--out", out]
+    with started(cache, *argv) as process:
+        interrupt(process, lambda: list(cache.rglob("detections/*")) and list(out.glob(".*")))
+    assert contents(out).keys() >= before.keys()
+    assert {name: contents(out)[name] for name in before} == before
+    judged = record_network_views(monkeypatch)
+    assert run(*argv).code == 0
+    assert len(judged) <= 3
+    assert report(out)["judged_views"] == 3
+
+
+def test_while_the_package_is_imported(tmp_path):
+    """A jax that takes a minute to import stands for one that takes two seconds."""
+    started_importing = tmp_path / "started"
+    (tmp_path / "jax.py").write_text(
+        f"import pathlib, time\npathlib.Path({str(started_importing)!r}).touch()\ntime.sleep(60)\n"
+    )
+    with started(tmp_path, "--version", paths=(tmp_path,)) as process:
+        interrupt(process, started_importing.exists)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_while_results_are_written(case, tmp_path, number):
+    out = tmp_path / "new" / "out"
+    with started(tmp_path / "cache", *given(case), "--out", out) as process:
+        pattern = f"new/out/{UNFINISHED}*/tamper.ply"
+        interrupt(process, lambda: list(tmp_path.glob(pattern)), number)
+    assert not out.exists()

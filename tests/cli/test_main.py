@@ -1,0 +1,386 @@
+"""The command line: one line for each invalid input, exit codes, help, and failed runs."""
+
+import contextlib
+import dataclasses
+import io
+import json
+import shutil
+import subprocess
+import sys
+import typing
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_case import FIXTURES, NAMES, contents, given, refused, report, run, unparsable
+from numpy.lib import recfunctions
+from plyfile import PlyData, PlyElement
+
+from gsc_jax.benchmark.simulate import REGIMES
+from gsc_jax.cli import locate as locate_command
+from gsc_jax.cli import main as cli
+from gsc_jax.cli import options, outputs
+from gsc_jax.evidence.masks import MaskRule
+from gsc_jax.io.cameras import load_cameras, save_cameras
+from gsc_jax.io.masks import write_mask
+from gsc_jax.scene import InputError
+
+case, found, own_cache = FIXTURES
+pytestmark = pytest.mark.usefixtures("own_cache")
+
+
+def scene_without(case: Path, path: Path, name: str) -> Path:
+    vertex = PlyData.read(case / "scene.ply")["vertex"].data
+    rest = recfunctions.drop_fields(vertex, name, usemask=False)
+    PlyData([PlyElement.describe(rest, "vertex")]).write(str(path))
+    return path
+
+
+def test_a_missing_scene(case, tmp_path):
+    scene = tmp_path / "missing.ply"
+    assert f"{scene}: no such file" in refused(*given(case, scene=scene), "--out", tmp_path / "o")
+    assert not (tmp_path / "o").exists()
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        (b"these are not the bytes of a scene", "not a PLY"),
+        (b"", "not a PLY"),
+        (b"ply\nformat binary_little_endian 1.0\nelement vertex 0\nend_header\n", "no Gaussians"),
+    ],
+)
+def test_files_that_are_not_scenes(case, tmp_path, content, expected):
+    scene = tmp_path / "scene.ply"
+    scene.write_bytes(content)
+    message = refused(*given(case, scene=scene), "--out", tmp_path / "out")
+    assert f"{scene}: " in message
+    assert expected in message
+
+
+def test_a_truncated_scene(case, tmp_path):
+    scene = tmp_path / "short.ply"
+    scene.write_bytes((case / "scene.ply").read_bytes()[:-1000])
+    message = refused(*given(case, scene=scene), "--out", tmp_path / "out")
+    assert f"{scene}: damaged or cut short" in message
+    assert "300" in message
+
+
+def test_a_scene_without_a_property(case, tmp_path):
+    scene = scene_without(case, tmp_path / "points.ply", "opacity")
+    message = refused(*given(case, scene=scene), "--out", tmp_path / "out")
+    assert f"{scene}: lacks" in message
+    assert "opacity" in message
+
+
+@pytest.mark.parametrize("content", ["{", "[]", '{"a": 1}', '[{"id": 0}]'])
+def test_files_that_are_not_cameras(case, tmp_path, content):
+    cameras = tmp_path / "cameras.json"
+    cameras.write_text(content)
+    message = refused(*given(case, cameras=cameras), "--out", tmp_path / "out")
+    assert f"{cameras}" in message
+
+
+def test_missing_cameras(case, tmp_path):
+    cameras = tmp_path / "nothing"
+    assert f"{cameras}: " in refused(*given(case, cameras=cameras), "--out", tmp_path / "out")
+
+
+def test_cameras_of_another_scene(case, tmp_path):
+    cameras = json.loads((case / "cameras.json").read_text())
+    for camera in cameras:
+        camera["position"] = [1000.0, 1000.0, 1000.0]
+    path = tmp_path / "cameras.json"
+    path.write_text(json.dumps(cameras))
+    message = refused(*given(case, cameras=path), "--out", tmp_path / "out")
+    assert f"{path}: the cameras see" in message
+
+
+def test_a_near_plane_behind_the_scene(case, tmp_path):
+    message = refused(*given(case, near=50), "--out", tmp_path / "out")
+    assert f"{case / 'cameras.json'}: the near plane at 50" in message
+    assert "near=" in message
+
+
+@pytest.mark.parametrize(
+    ("names", "expected"), [(("../a", "b"), "cannot name a file"), (("a/b", "a\\b"), "slashes")]
+)
+def test_camera_names_that_cannot_name_files(case, tmp_path, names, expected):
+    cameras = load_cameras(case / "cameras.json")
+    path = tmp_path / "cameras.json"
+    pairs = zip(cameras, names, strict=False)
+    save_cameras(path, [dataclasses.replace(camera, name=name) for camera, name in pairs])
+    message = refused(*given(case, cameras=path), "--out", tmp_path / "out")
+    assert f"{path}: " in message
+    assert expected in message
+
+
+def test_masks_of_other_cameras(case, tmp_path):
+    write_mask(tmp_path / "masks" / "other.png", np.zeros((4, 4), bool))
+    message = refused(*given(case, masks=tmp_path / "masks"), "--out", tmp_path / "out")
+    assert f"{tmp_path / 'masks'}: none of its 1 images" in message
+    assert repr(NAMES[0]) in message
+
+
+def test_an_empty_folder_of_masks(case, tmp_path):
+    (tmp_path / "masks").mkdir()
+    message = refused(*given(case, masks=tmp_path / "masks"), "--out", tmp_path / "out")
+    assert f"{tmp_path / 'masks'}: holds no images" in message
+
+
+def test_no_detector_or_two_of_the_same_views(case, tmp_path):
+    out = "--out", tmp_path / "out"
+    for changes in ({"detector": "none"}, {"method": "paper"}):
+        message = refused(*given(case, masks=None, **changes), *out)
+        assert "no evidence" in message
+        assert "--masks" in message
+        assert "--detector" in message
+    assert "give one of the two" in refused(*given(case, detector="net.onnx"), *out)
+    both = refused(*given(case, masks=None), "--detector", "a.onnx", "b.onnx", *out)
+    assert "expected none, or native, one 2D network, or both" in both
+
+
+def test_the_attributes_alone(case, tmp_path):
+    answer = run(*given(case, masks=None), "--out", tmp_path)
+    assert answer.code == 0
+    result = report(tmp_path)
+    assert result["verdict"] == result["attributes"]["verdict"]
+    assert {path.name for path in (tmp_path / "masks").rglob("*.png")}
+    assert not (tmp_path / "detector").exists()
+
+
+def test_gschecker_refuses_the_attributes(case, tmp_path):
+    argv = given(case, detector="native", method="official")
+    assert "uses masks only" in refused(*argv, "--out", tmp_path / "out")
+
+
+def test_masks_without_the_attributes(case, tmp_path):
+    answer = run(*given(case, detector="none"), "--out", tmp_path)
+    assert answer.code == 0
+    assert report(tmp_path)["attributes"] is None
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"detector": "missing.onnx"}, "missing.onnx: does not exist"),
+        ({"detector": "iml-vit"}, "--preset iml-vit"),
+        ({"detector": "missing.onnx", "preset": "no-net"}, "no-net"),
+        ({"detector": "missing.onnx", "spec": "missing.toml"}, "missing.toml: no such file"),
+    ],
+)
+def test_missing_detectors_and_specs(case, tmp_path, changes, expected):
+    message = refused(*given(case, masks=None, **changes), "--out", tmp_path / "out")
+    assert expected in message
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"views": 0}, ("--views 0",)),
+        ({"epochs": 3}, ("--epochs", "robust")),
+        ({"lambda2": 3}, ("--lambda2", "robust")),
+        ({"scale": 0}, ("--scale 0",)),
+        ({"scale": "nan"}, ("--scale nan",)),
+        ({"near": -1}, ("--near -1",)),
+        ({"seed": -1}, ("--seed -1",)),
+        ({"preset": "trufor"}, ("--preset", "--detector")),
+        ({"provider": "cuda"}, ("--provider", "--detector")),
+        ({"threads": 2}, ("--threads", "--detector")),
+    ],
+)
+def test_invalid_options(case, tmp_path, changes, expected):
+    message = refused(*given(case, **changes), "--out", tmp_path / "out")
+    assert all(part in message for part in expected)
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"method": "magic"}, ("magic", "--method", "paper", "official")),
+        ({"mask_rule": "magic"}, ("magic", "--mask-rule", "share")),
+        ({"views": "many"}, ("--views", "many")),
+        ({"vews": 3}, ("--vews", "--views")),
+    ],
+)
+def test_unparsable_options(case, changes, expected):
+    message = unparsable(*given(case, **changes), "--out", "out")
+    assert all(part in message for part in expected)
+
+
+def test_unparsable_commands(case):
+    assert "locate" in unparsable()
+    assert "find" in unparsable("find")
+    assert "--out" in unparsable(*given(case))
+    background = ["--background", 0, 2, 0]
+    assert "--background" in refused("render", case / "scene.ply", "--out", "o", *background)
+
+
+@pytest.mark.parametrize("command", ["locate", "render", "tamper", "demo"])
+def test_an_output_folder_that_cannot_be_written(case, tmp_path, command):
+    (tmp_path / "file").write_text("in the way")
+    out = tmp_path / "file" / "out"
+    arguments = {
+        "locate": given(case),
+        "render": ["render", case / "scene.ply", "--cameras", case],
+        "tamper": ["tamper", case / "scene.ply", "--cameras", case, "--size", 0.3],
+        "demo": ["demo"],
+    }
+    message = refused(*arguments[command], "--out", out)
+    assert str(out) in message
+    assert "cannot be written" in message
+    assert (tmp_path / "file").read_text() == "in the way"
+
+
+@pytest.mark.parametrize("name", ["\udcff", "a\ud800.JPG"])
+def test_a_camera_whose_name_is_not_valid_text(case, tmp_path, name):
+    cameras = load_cameras(case / "cameras.json")
+    save_cameras(tmp_path / "cameras.json", [dataclasses.replace(cameras[0], name=name)])
+    message = refused(*given(case, cameras=tmp_path / "cameras.json"), "--out", tmp_path / "out")
+    assert f"{tmp_path / 'cameras.json'}: camera {name!r}: its name" in message
+
+
+@pytest.mark.parametrize("clash", ["masks", "detector"])
+def test_results_never_overwrite_what_is_read(case, tmp_path, clash):
+    shutil.copytree(case / "masks", tmp_path / clash)
+    before = sorted(path.read_bytes() for path in (tmp_path / clash).rglob("*.png"))
+    message = refused(*given(case, masks=tmp_path / clash), "--out", tmp_path)
+    assert "another --out" in message
+    assert before == sorted(path.read_bytes() for path in (tmp_path / clash).rglob("*.png"))
+
+
+def test_masks_need_cameras(case, tmp_path):
+    scene, masks = case / "scene.ply", case / "masks"
+    message = refused("locate", scene, "--masks", masks, "--out", tmp_path / "out")
+    assert "--cameras" in message
+
+
+@pytest.mark.parametrize("scale", [1000, 0.01])
+def test_images_that_are_too_large_or_too_small(case, tmp_path, scale):
+    assert "pixels" in refused(*given(case, scale=scale), "--out", tmp_path / "out")
+
+
+def test_a_full_disk_leaves_the_earlier_results(case, found, tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    shutil.copytree(found[0], out)
+    before = contents(out)
+
+    def full(self, stream):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(PlyData, "write", full)
+    message = refused(*given(case, views=1), "--out", out)
+    assert f"{out / 'tamper.ply'}: cannot be written (No space left on device)" in message
+    assert contents(out) == before
+
+
+@pytest.mark.parametrize("new", [True, False])
+def test_an_interrupted_run_leaves_the_folder_as_it_was(case, tmp_path, monkeypatch, new):
+    out = tmp_path / "out"
+    if not new:
+        out.mkdir()
+        (out / "mine.txt").write_text("mine")
+
+    def interrupted(*arguments, **options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(outputs, "contact_sheet", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        run(*given(case), "--out", out)
+    assert out.exists() != new
+    if not new:
+        assert contents(out) == {"mine.txt": b"mine"}
+
+
+def test_errors_of_the_program_are_not_hidden(case, tmp_path, monkeypatch):
+    def broken(*arguments, **options):
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(outputs, "contact_sheet", broken)
+    with pytest.raises(ZeroDivisionError):
+        run(*given(case), "--out", tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    "listed",
+    [
+        *("no list", 3, [3], [""], ["result.json", "masks", "masks/a\0.png"]),
+        ["../mine.png", "/mine.png", "masks/../../mine.png", ".png", "notes/x.png"],
+    ],
+)
+def test_a_foreign_result_json_removes_nothing(case, tmp_path, listed):
+    out = tmp_path / "out"
+    (out / "notes").mkdir(parents=True)
+    for mine in (tmp_path / "mine.png", out / "notes" / "x.png"):
+        mine.write_bytes(b"mine")
+    (out / "result.json").write_text(json.dumps({"outputs": listed}))
+    assert run(*given(case), "--out", out).code == 0
+    assert (tmp_path / "mine.png").exists()
+    assert (out / "notes" / "x.png").exists()
+
+
+# Warnings
+
+
+@pytest.mark.filterwarnings("default")
+@pytest.mark.parametrize("fails", [False, True])
+def test_warnings_of_libraries_are_listed_last_and_once(case, tmp_path, monkeypatch, fails):
+    write_results = locate_command.write_results
+
+    def warn(*arguments, **options):
+        for _ in range(2):
+            warnings.warn("a library\nwarns", FutureWarning, stacklevel=1)
+        if fails:
+            raise InputError("on purpose")
+        return write_results(*arguments, **options)
+
+    monkeypatch.setattr(locate_command, "write_results", warn)
+    answer = run(*given(case), "--out", tmp_path / "out")
+    assert answer.code == (2 if fails else 0)
+    assert answer.err.count("a library warns (FutureWarning in test_main.py") == 1
+    assert answer.err.endswith("gsc-jax: on purpose\n") == fails
+
+
+# Help
+
+
+def help_of(*command: str) -> str:
+    with pytest.raises(SystemExit) as stop, contextlib.redirect_stdout(io.StringIO()) as printed:
+        cli.main([*command, "--help"])
+    assert not stop.value.code
+    return printed.getvalue()
+
+
+@pytest.mark.parametrize("command", cli.COMMANDS)
+def test_help_has_examples_and_fits_a_terminal(command, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    text = help_of(command)
+    assert f"gsc-jax {command}" in text
+    assert "for example:" in text
+    assert all(len(line) <= 80 for line in text.splitlines())
+    assert "default: None" not in text
+    assert "default: False" not in text
+    assert "(required)" in text
+
+
+def test_the_help_of_the_program_lists_the_commands(monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    text = help_of()
+    assert len(text.splitlines()) < 40
+    assert "130 interrupted" in text
+    assert all(f"• {name} " in text for name in cli.COMMANDS)
+    assert "for example" not in text
+
+
+def test_the_choices_in_the_options_are_complete():
+    assert " ".join(typing.get_args(MaskRule)) == "share attribute per-view"
+    assert typing.get_args(options.Regime) == ("none", *REGIMES)
+
+
+def test_the_console_script_runs():
+    script = Path(sys.executable).parent / "gsc-jax"
+    command = [str(script)] if script.exists() else [sys.executable, "-m", "gsc_jax"]
+    done = subprocess.run([*command, "--version"], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith("gsc-jax ")

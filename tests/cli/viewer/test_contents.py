@@ -1,0 +1,106 @@
+"""What the viewer shows of a folder of results."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from results_folder import write_results
+
+from gsc_jax.cli.report.wording import headline
+from gsc_jax.cli.results import Results, read_results
+from gsc_jax.cli.viewer import contents as module
+from gsc_jax.cli.viewer.contents import count_sentence, legend, viewer_contents
+from gsc_jax.cli.viewer.page import viewer_page
+
+ALL = 10**6
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
+    folder = tmp_path_factory.mktemp("viewer") / "found"
+    write_results(folder)
+    return read_results(folder)
+
+
+def scaled(results: Results, size: float) -> Results:
+    """The same results in another unit of length."""
+    gaussians = results.gaussians
+    gaussians = dataclasses.replace(
+        gaussians,
+        means=(size * np.asarray(gaussians.means)).astype(np.float32),
+        log_scales=(np.asarray(gaussians.log_scales) + np.log(size)).astype(np.float32),
+    )
+    cameras = []
+    for camera in results.cameras:
+        viewmat = np.array(camera.viewmat)
+        viewmat[:3, 3] *= size
+        cameras.append(dataclasses.replace(camera, viewmat=viewmat))
+    return dataclasses.replace(results, gaussians=gaussians, cameras=cameras)
+
+
+def test_contents_are_those_of_the_results(results: Results):
+    contents, notes = viewer_contents(results, most=ALL)
+    assert notes == []
+    assert len(contents.splats.centers) == len(results.gaussians)
+    np.testing.assert_array_equal(contents.score, results.tamper)
+    assert [pose.name for pose in contents.poses] == [camera.name for camera in results.cameras]
+    tampered = int(results.labels.sum())
+    assert contents.sentences[0] == headline(0.97, tampered)
+    assert count_sentence(contents.score, contents.threshold).startswith(f"{tampered:,} of ")
+
+
+def test_omitted_gaussians_are_reported(results: Results):
+    contents, notes = viewer_contents(results, most=100)
+    assert len(contents.splats.centers) == len(contents.score) == 100
+    assert "100 of 1,998 Gaussians" in notes[0]
+
+
+def test_everything_lies_in_front_of_the_far_plane(results: Results):
+    contents, _ = viewer_contents(results, most=ALL)
+    for pose in contents.poses:
+        distances = np.linalg.norm(contents.splats.centers - pose.position, axis=1)
+        assert distances.max() < contents.far
+
+
+def test_far_plane_includes_outliers(results: Results, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(module, "MAX_DEPTH_SAMPLES", 10)
+    means = np.array(results.gaussians.means)
+    means[1001] = [0, 0, 500]
+    gaussians = dataclasses.replace(results.gaussians, means=means)
+    contents, _ = viewer_contents(dataclasses.replace(results, gaussians=gaussians), most=ALL)
+    assert 500 < contents.far < 2000
+
+
+@pytest.mark.parametrize("size", [1e-3, 1e3])
+def test_lengths_scale_with_the_scene(results: Results, size: float):
+    report = results.report | {"config": {"threshold": 0.5, "near": 1e-6}}
+    results = dataclasses.replace(results, report=report)
+    contents, _ = viewer_contents(results, most=ALL)
+    other, _ = viewer_contents(scaled(results, size), most=ALL)
+    assert other.far == pytest.approx(size * contents.far, rel=1e-3)
+    assert other.frustum == pytest.approx(size * contents.frustum, rel=1e-3)
+
+
+def test_sentences_without_labels_and_without_scene_probability(results: Results):
+    counts = results.report["counts"] | {"tampered": 0}
+    report = results.report | {"counts": counts, "verdict": None}
+    contents, _ = viewer_contents(dataclasses.replace(results, report=report), most=ALL)
+    assert len(contents.sentences) == 1
+    assert "None of 1,998" in contents.sentences[0]
+
+
+def test_count_and_legend():
+    score = np.array([0, 0.3, 0.5, 0.7, 1], np.float32)
+    assert count_sentence(score, 0.5).startswith("2 of 5 Gaussians (40.0%)")
+    assert legend().count("rgb(") > 2
+
+
+def test_hostile_names_are_escaped_in_the_written_page(results: Results, tmp_path: Path):
+    contents, _ = viewer_contents(results, most=10)
+    bad = "</script><b>&'\""
+    poses = [dataclasses.replace(pose, name=bad) for pose in contents.poses]
+    contents = dataclasses.replace(contents, title=bad, sentences=[bad], poses=poses)
+    page = viewer_page("<html><body><script>scene</script></body></html>", contents)
+    assert "<b>" not in page
+    assert page.count("</script>") == page.count("<script") == 2

@@ -1,0 +1,80 @@
+"""The panel of the served viewer: when the splats are sent again."""
+
+import threading
+import time
+from collections.abc import Iterator
+
+import pytest
+from results_folder import write_results
+
+from gsc_jax.cli.results import read_results
+from gsc_jax.cli.viewer import controls
+from gsc_jax.cli.viewer.contents import viewer_contents
+from gsc_jax.cli.viewer.server import serving
+from gsc_jax.cli.viewer.splats import layer_colours
+
+pytest.importorskip("viser")
+
+TIMEOUT_SECONDS = 20.0
+
+
+@pytest.fixture
+def inputs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[controls.LayerInputs]:
+    folder = tmp_path_factory.mktemp("controls") / "found"
+    write_results(folder)
+    contents, _ = viewer_contents(read_results(folder), most=10**6)
+    with serving(host="localhost", port=0) as server:
+        yield controls.add_layer_controls(server, contents)
+
+
+def test_threshold_is_sent_once_and_only_if_it_matters(
+    inputs: controls.LayerInputs, monkeypatch: pytest.MonkeyPatch
+):
+    computed: list[tuple[str, float]] = []
+
+    def recorded(splats, score, layer, threshold):
+        computed.append((layer, threshold))
+        return layer_colours(splats, score, layer, threshold)
+
+    monkeypatch.setattr(controls, "layer_colours", recorded)
+    inputs.threshold.value = 0.25
+    assert computed == []
+    inputs.layer.value = "tampered only"
+    inputs.threshold.value = 0.75
+    inputs.layer.value = "heat map"
+    inputs.threshold.value = 0.5
+    inputs.layer.value = "original"
+    tampered_only = [("tampered only", 0.25), ("tampered only", 0.75)]
+    assert computed == [*tampered_only, ("heat map", 0.75), ("original", 0.5)]
+
+
+def test_last_of_several_quick_changes_is_sent_once(
+    inputs: controls.LayerInputs, monkeypatch: pytest.MonkeyPatch
+):
+    computed: list[float] = []
+    entered, released = threading.Event(), threading.Event()
+
+    def slow(splats, score, layer, threshold):
+        computed.append(threshold)
+        entered.set()
+        assert released.wait(TIMEOUT_SECONDS)
+        return layer_colours(splats, score, layer, threshold)
+
+    def change(value: float) -> threading.Thread:
+        thread = threading.Thread(target=setattr, args=(inputs.threshold, "value", value))
+        thread.start()
+        end = time.monotonic() + TIMEOUT_SECONDS
+        while inputs.threshold.value != value:
+            assert time.monotonic() < end
+            time.sleep(0.01)
+        return thread
+
+    inputs.layer.value = "authentic only"
+    monkeypatch.setattr(controls, "layer_colours", slow)
+    threads = [change(0.125)]
+    assert entered.wait(TIMEOUT_SECONDS)
+    threads += [change(value) for value in (0.25, 0.375, 0.625, 0.875)]
+    released.set()
+    for thread in threads:
+        thread.join(TIMEOUT_SECONDS)
+    assert computed == [0.125, 0.875]

@@ -1,0 +1,135 @@
+"""Splats, the colours of layers, and cameras as poses."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+from strategies import blobs, camera, motions, random_scene, scenes
+
+from gsc_jax.cli.viewer.poses import pose
+from gsc_jax.cli.viewer.splats import (
+    fit_half_precision,
+    half_precision_unit,
+    heat,
+    largest,
+    layer_colours,
+    splats,
+)
+
+UP = np.array([0.0, -1.0, 0.0])
+
+
+class TestSplats:
+    @given(scenes())
+    def test_covariances_have_the_scales_along_the_axes(self, gaussians):
+        made = splats(gaussians)
+        turned = Rotation.from_quat(np.asarray(gaussians.quats), scalar_first=True).as_matrix()
+        inside = np.einsum("nji,njk,nkl->nil", turned, made.covariances, turned)
+        expected = np.exp(2 * gaussians.log_scales)[:, :, None] * np.eye(3)
+        np.testing.assert_allclose(inside, expected, atol=1e-5)
+        np.testing.assert_array_equal(made.covariances, made.covariances.swapaxes(1, 2))
+
+    def test_colours_and_opacities_equal_those_of_the_file(self):
+        made = splats(blobs([[0, 0, 1]], opacity=0.25))
+        np.testing.assert_allclose(made.rgbs, 0.5)
+        np.testing.assert_allclose(made.opacities, [[0.25]], rtol=1e-6)
+
+    @given(st.floats(1e-4, 1e4))
+    def test_covariances_survive_half_precision_in_any_unit(self, size):
+        scene = random_scene(200)
+        scene = dataclasses.replace(
+            scene, log_scales=(scene.log_scales + np.log(size)).astype(np.float32)
+        )
+        covariances = splats(scene).covariances / half_precision_unit(splats(scene)) ** 2
+        stored = fit_half_precision(covariances).astype(np.float16).astype(np.float32)
+        largest_entry = np.abs(covariances).max(axis=(1, 2), keepdims=True)
+        assert (np.abs(stored - covariances) <= 2e-3 * largest_entry).all()
+
+    def test_overflowing_covariances_keep_their_shape(self):
+        huge = np.diag([1e9, 1e8, 1.0])[None].astype(np.float32)
+        fitted = fit_half_precision(huge)
+        assert np.isfinite(fitted.astype(np.float16)).all()
+        np.testing.assert_allclose(fitted / fitted.max(), huge / huge.max(), rtol=1e-6)
+
+    def test_unit_of_points_without_extent(self):
+        assert half_precision_unit(splats(blobs([[0, 0, 1]], scale=1e-30))) == 1
+
+    @given(st.integers(1, 30))
+    def test_largest_have_the_highest_opacity_times_area(self, count):
+        scene = random_scene(20)
+        axes = np.sort(np.asarray(scene.scales), axis=1)
+        sizes = np.asarray(scene.opacities) * axes[:, 1] * axes[:, 2]
+        expected = np.sort(np.argsort(-sizes)[:count])
+        none = np.zeros(20, bool)
+        np.testing.assert_array_equal(largest(scene, count, first=none), expected)
+
+    @given(st.integers(1, 20))
+    def test_tampered_gaussians_precede_large_ones(self, count):
+        scene = random_scene(20)
+        first = np.arange(20) % 4 == 0
+        rows = largest(scene, count, first=first)
+        assert first[rows].sum() == min(count, first.sum())
+
+
+class TestLayerColours:
+    SCORE = np.array([0, 0.3, 0.5, 0.7, 1], np.float32)
+    SPLATS = splats(blobs(np.eye(5, 3)))
+
+    @given(st.sampled_from([0.0, 0.3, 0.5, 0.9, 1.0]))
+    def test_tampered_and_authentic_partition_the_scene(self, threshold):
+        _, tampered = layer_colours(self.SPLATS, self.SCORE, "tampered only", threshold)
+        _, authentic = layer_colours(self.SPLATS, self.SCORE, "authentic only", threshold)
+        np.testing.assert_array_equal(tampered + authentic, self.SPLATS.opacities)
+        np.testing.assert_array_equal(tampered[:, 0] > 0, np.float32(threshold) < self.SCORE)
+
+    def test_original_is_unchanged(self):
+        rgbs, opacities = layer_colours(self.SPLATS, self.SCORE, "original", 0.5)
+        np.testing.assert_array_equal(rgbs, self.SPLATS.rgbs)
+        np.testing.assert_array_equal(opacities, self.SPLATS.opacities)
+
+    def test_heat_map_is_lighter_for_higher_scores(self):
+        rgbs, opacities = layer_colours(self.SPLATS, self.SCORE, "heat map", 0.5)
+        assert (np.diff(rgbs @ [0.299, 0.587, 0.114]) > 0.03).all()
+        np.testing.assert_array_equal(opacities, self.SPLATS.opacities)
+
+    def test_heat_colours_are_in_range(self):
+        colors = heat(np.linspace(0, 1, 50))
+        assert colors.shape == (50, 3)
+        assert colors.dtype == np.float32
+        assert (colors >= 0).all()
+        assert (colors <= 1).all()
+
+
+class TestPoses:
+    @given(motions())
+    def test_pose_inverts_the_view_matrix(self, motion):
+        quat, translation = motion
+        viewmat = np.eye(4)
+        viewmat[:3, :3] = Rotation.from_quat(quat, scalar_first=True).as_matrix()
+        viewmat[:3, 3] = translation
+        placed = pose(camera(viewmat=viewmat), np.zeros((1, 3)), up=UP)
+        turned = Rotation.from_quat(placed.wxyz, scalar_first=True).as_matrix()
+        np.testing.assert_allclose(viewmat[:3, :3] @ turned, np.eye(3), atol=1e-5)
+        back = viewmat[:3, :3] @ placed.position + viewmat[:3, 3]
+        np.testing.assert_allclose(back, 0, atol=1e-4)
+        ahead = viewmat[:3, :3] @ placed.look_at + viewmat[:3, 3]
+        np.testing.assert_allclose(ahead[:2], 0, atol=1e-4)
+        assert ahead[2] > 0
+        # Up points to neither side of the image, and not down.
+        inside = viewmat[:3, :3] @ placed.up
+        assert abs(inside[0]) < 1e-5
+        assert inside[1] < 0
+        assert np.linalg.norm(placed.up) == pytest.approx(1)
+
+    def test_target_is_at_the_median_depth_of_visible_gaussians(self):
+        means = np.array([[0, 0, 2], [0, 0, 3], [0, 0, 4], [0, 0, -9], [50, 0, 1]])
+        placed = pose(camera(), means, up=UP)
+        np.testing.assert_allclose(placed.look_at, [0, 0, 3])
+
+    def test_field_of_view_and_aspect_are_those_of_the_image(self):
+        placed = pose(camera(40, 30, focal=20), np.ones((1, 3)), up=UP)
+        assert np.tan(placed.fov / 2) == pytest.approx(15 / 20)
+        assert placed.aspect == pytest.approx(40 / 30)

@@ -1,0 +1,158 @@
+"""Masks in a folder are matched to cameras by name."""
+
+import json
+from pathlib import Path
+
+import imageio.v3 as iio
+import numpy as np
+import pytest
+from onnx_models import view
+
+from gsc_jax.detectors.folder import FolderDetector
+from gsc_jax.io import masks
+from gsc_jax.scene import Camera, InputError
+
+TAMPERED = Path(__file__).parents[3] / "shared" / "data" / "tampered"
+
+
+def cameras(*names: str) -> list[Camera]:
+    return [view(name) for name in names]
+
+
+def folder(path: Path, *files: str) -> FolderDetector:
+    """A folder in which mask k has the width k + 1, to identify the mask that was read."""
+    for k, file in enumerate(files):
+        (path / file).parent.mkdir(parents=True, exist_ok=True)
+        extension = Path(file).suffix.lower()
+        iio.imwrite(path / file, np.full((1, k + 1), 255, np.uint8), extension=extension)
+    return FolderDetector(path)
+
+
+def selected(detector: FolderDetector, *names: str) -> list[str]:
+    return [chosen.name for chosen in detector.select(cameras(*names))]
+
+
+@pytest.mark.parametrize(
+    ("name", "files", "read"),
+    [
+        ("a", ["a.png"], "a.png"),
+        ("a", ["a.PNG"], "a.PNG"),
+        ("a", ["b.png", "a.JPG"], "a.JPG"),
+        ("a.jpg", ["a.png"], "a.png"),
+        ("a.jpg", ["a.png", "a.jpg.png"], "a.jpg.png"),
+        ("a.png", ["a.png"], "a.png"),
+        ("a", ["a.jpg.png"], "a.jpg.png"),
+        ("a", ["a.jpg.png", "a.png"], "a.png"),
+        ("img.0001.JPG", ["img.0001.png", "img.0002.png", "img.png"], "img.0001.png"),
+        ("img.0001", ["img.0001.png", "img.0002.png", "img.png"], "img.0001.png"),
+        ("left/a.JPG", ["left/a.png", "right/a.png"], "left/a.png"),
+        ("left/a.JPG", ["left/a.png", "a.png"], "left/a.png"),
+        ("left\\a.JPG", ["left/a.png", "right/a.png"], "left/a.png"),
+        ("left/a.JPG", ["a.png"], "a.png"),
+        ("left/a.JPG", ["a.JPG.png", "a.png"], "a.JPG.png"),
+        ("left/a", ["a.JPG.png"], "a.JPG.png"),
+        ("a.JPG", ["masks/a.png"], "masks/a.png"),
+    ],
+)
+def test_most_exact_file_is_the_mask_of_a_camera(tmp_path, name, files, read):
+    detector = folder(tmp_path, *files)
+    (chosen,) = detector.select(cameras(name))
+    assert detector(None, chosen).shape == (1, files.index(read) + 1)
+
+
+@pytest.mark.parametrize(
+    ("name", "file"),
+    [("a", "A.png"), ("a", "aa.png"), ("img.0001", "img.png"), ("left/a", "right/a.png")],
+)
+def test_unrelated_file_is_not_a_mask(tmp_path, name, file):
+    detector = folder(tmp_path, file)
+    with pytest.raises(InputError, match="named after") as caught:
+        detector.select(cameras(name))
+    for part in (name, file, f"{name}.png"):
+        assert repr(part) in str(caught.value)
+    with pytest.raises(InputError, match="no mask for camera"):
+        detector(None, view(name))
+
+
+def test_selected_cameras_keep_their_order(tmp_path):
+    detector = folder(tmp_path, "a.png", "c.png", "unused.png")
+    assert selected(detector, "c", "b", "a", "d") == ["c", "a"]
+    assert detector.needs_image is False
+
+
+@pytest.mark.parametrize(
+    ("names", "files"),
+    [
+        (["a"], ["a.png", "a.jpg"]),
+        (["a.jpg"], ["a.png", "a.jpg"]),
+        (["a"], ["masks/a.png", "detector/a.png"]),
+        (["left/a", "right/a"], ["a.png"]),
+        (["a.jpg", "a.png"], ["a.png"]),
+        (["a", "a"], ["a.png"]),
+    ],
+)
+def test_ambiguous_match_is_an_error(tmp_path, names, files):
+    detector = folder(tmp_path, *files)
+    with pytest.raises(InputError, match="equally well") as caught:
+        detector.select(cameras(*names))
+    assert str(tmp_path) in str(caught.value)
+
+
+def test_file_belongs_to_the_more_exact_camera(tmp_path):
+    assert selected(folder(tmp_path, "a.png"), "left/a", "a") == ["a"]
+
+
+def test_invalid_folders_are_refused(tmp_path):
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "notes.txt").write_text("text")
+    (tmp_path / "other" / "._a.png").write_bytes(b"hidden")
+    iio.imwrite(tmp_path / "a.png", np.zeros((2, 2), np.uint8))
+    expected = {
+        "missing": "does not exist",
+        "a.png": "is a file",
+        "empty": "no images",
+        "other": "no images",
+    }
+    for name, reason in expected.items():
+        with pytest.raises(InputError, match=reason) as caught:
+            FolderDetector(tmp_path / name)
+        assert str(tmp_path / name) in str(caught.value)
+    with pytest.raises(InputError, match="no cameras"):
+        folder(tmp_path / "full", "a.png").select([])
+
+
+def test_zero_one_is_decided_for_the_whole_folder(tmp_path):
+    binary, soft = tmp_path / "binary", tmp_path / "soft"
+    ones = np.ones((2, 2), np.uint8)
+    for path, levels in ((binary, (0, 1)), (soft, (1, 200))):
+        path.mkdir()
+        for name, level in zip("ab", levels, strict=True):
+            iio.imwrite(path / f"{name}.png", level * ones)
+    iio.imwrite(binary / "overlay.png", np.eye(3, dtype=np.uint8)[None] * 200)
+    np.testing.assert_array_equal(FolderDetector(binary)(None, view("b")), ones)
+    np.testing.assert_allclose(FolderDetector(soft)(None, view("a")), ones / 255, rtol=1e-6)
+    assert "0/1" in FolderDetector(binary).warnings[0]
+    assert FolderDetector(soft).warnings == ()
+
+
+@pytest.mark.parametrize("name", ["a", "a.png", "img.0001.JPG", "left/a.b.JPG", "left\\a"])
+def test_written_mask_is_read_for_its_camera(tmp_path, name):
+    masks.write_mask(masks.image_path(tmp_path, name), np.ones((3, 2), bool))
+    masks.write_mask(masks.image_path(tmp_path, "other/" + name), np.zeros((1, 1), bool))
+    assert FolderDetector(tmp_path)(None, view(name)).shape == (3, 2)
+
+
+@pytest.mark.skipif(not TAMPERED.is_dir(), reason="the development scenes are not available")
+@pytest.mark.parametrize("scene", ["kitchen-incorporate", "playbot-remove"])
+def test_development_scenes_have_a_mask_per_camera(scene):
+    entries = json.loads((TAMPERED / scene / "cameras.json").read_text())
+    views = [view(entry["img_name"], entry["width"], entry["height"]) for entry in entries]
+    detector = FolderDetector(TAMPERED / scene / "detector")
+    assert detector.select(views) == views
+    assert detector.warnings == ()
+    found = [detector(None, camera) for camera in views[::6]]
+    for camera, mask in zip(views[::6], found, strict=True):
+        assert mask.shape == (camera.height, camera.width)
+        assert set(np.unique(mask)) <= {0.0, 1.0}
+    assert 0 < max(mask.mean() for mask in found) < 1, "all masks are constant"

@@ -1,0 +1,50 @@
+"""Calibration: bounds, scenes unlike the training data, and the level of labelling."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from forensics_cases import BASE, classified, two_groups
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gsc_jax.forensics.calibration import MAX_LOG_ODDS, calibrate, label_level, stable_level
+from gsc_jax.forensics.classifier import default_classifier
+
+MEANS = np.random.default_rng(0).normal(size=(300, 3))
+ALL = np.ones(300, bool)
+
+
+def test_log_odds_are_bounded():
+    steep = dataclasses.replace(default_classifier(), calibration=(40.0, 0.0))
+    raw = np.linspace(-20, 20, 300, dtype=np.float32)
+    assert np.abs(calibrate(raw, MEANS, ALL, steep).log_odds).max() == pytest.approx(MAX_LOG_ODDS)
+
+
+def test_median_of_a_scene_unlike_the_training_data_is_at_most_the_base_rate():
+    output = calibrate(np.full(300, 20, np.float32), MEANS, ALL, default_classifier())
+    assert np.median(output.log_odds) <= output.base + 1e-4
+
+
+def test_unknown_gaussians_do_not_change_the_level():
+    # No known log odds are near the base rate, where the unknown ones are.
+    output = classified(np.append(np.full(5_000, -6.0), np.linspace(-2, 7, 2_000)))
+    padded = dataclasses.replace(
+        output,
+        known=np.append(output.known, np.zeros(5_000, bool)),
+        log_odds=np.append(output.log_odds, np.full(5_000, BASE, np.float32)),
+    )
+    assert label_level(padded) == label_level(output)
+
+
+def test_level_without_a_peak_is_the_base_rate():
+    assert label_level(classified(np.full(50, BASE), peak=BASE)) == BASE
+
+
+@given(st.integers(0, 99), st.integers(50, 5_000), st.floats(-5, 5), st.floats(0.2, 5))
+@settings(max_examples=20, deadline=None)
+def test_stable_level_moves_with_the_log_odds(seed: int, edited: int, shift: float, factor: float):
+    log_odds = two_groups(seed, edited)
+    level = stable_level(log_odds, -3, 10)
+    moved = stable_level(factor * log_odds + shift, factor * -3 + shift, factor * 10)
+    assert moved == pytest.approx(factor * level + shift, abs=factor * 10 * 0.02)

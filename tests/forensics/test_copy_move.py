@@ -1,0 +1,48 @@
+"""Copy-move: copies are found after a similarity and with noise; coincidences are not."""
+
+import dataclasses
+
+import numpy as np
+from trace_cases import assert_matches, central_rows, detected, room, with_copy
+
+from gsc_jax.benchmark.incorporation import transformed
+from gsc_jax.benchmark.scenes import concatenate
+from gsc_jax.forensics.copy_move import copy_move
+
+PART = central_rows(room())
+
+
+def both_copies(count: int) -> np.ndarray:
+    labels = np.arange(count) >= len(room())
+    labels[PART] = True
+    return labels
+
+
+def test_both_copies_are_marked():
+    edited = with_copy(room(), PART)
+    trace = detected(copy_move, edited)
+    assert_matches(trace, both_copies(len(edited)))
+    assert "either may be the copy" in trace.explanation
+
+
+def test_rotated_and_scaled_copy_is_found():
+    quarter = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    copy = transformed(room().take(PART), quarter, 1.7, np.array([0, -9.0, 0]))
+    edited = concatenate([room(), copy])
+    assert_matches(detected(copy_move, edited), both_copies(len(edited)))
+
+
+def test_copy_with_noise_is_found():
+    edited = with_copy(room(), PART)
+    noise = 0.03 * np.random.default_rng(0).normal(size=(len(edited), 3))
+    log_scales = (np.asarray(edited.log_scales) + noise).astype(np.float32)
+    edited = dataclasses.replace(edited, log_scales=log_scales)
+    assert_matches(detected(copy_move, edited), both_copies(len(edited)), recall=0.8)
+
+
+def test_scattered_duplicates_are_a_coincidence():
+    chosen = np.random.default_rng(0).choice(len(room()), 400, replace=False)
+    copies = room().take(chosen)
+    places = np.random.default_rng(1).permutation(np.asarray(copies.means)) + np.float32(0.01)
+    edited = concatenate([room(), dataclasses.replace(copies, means=places)])
+    assert not detected(copy_move, edited).found

@@ -1,0 +1,189 @@
+"""Masks keep their decisions in files, and every layout of a mask file has one meaning."""
+
+from pathlib import Path
+
+import hypothesis.extra.numpy as hnp
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+from gsc_jax.io import masks
+from gsc_jax.scene import InputError
+
+MASK = np.zeros((6, 9), bool)
+MASK[1:4, 5:] = True
+LEVELS = np.arange(54, dtype=np.uint8).reshape(6, 9) * 4
+HALF = np.full((3, 4), 0.5, np.float32)
+
+same_folder = settings(
+    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+
+
+@same_folder
+@given(hnp.arrays(np.float32, (3, 4), elements=st.floats(0, 1, width=32)))
+@example(HALF)
+@example(np.nextafter(HALF, np.float32(1)))
+@example(HALF / 127.5)
+def test_probabilities_and_decisions_survive_a_file(tmp_path, probability):
+    masks.write_probability(tmp_path / "p.png", probability)
+    found = masks.read_probability(tmp_path / "p.png")
+    assert found.dtype == np.float32
+    np.testing.assert_allclose(found, probability, atol=1.5 / 255)
+    np.testing.assert_array_equal(found > 0.5, probability > 0.5)
+
+
+@same_folder
+@given(hnp.arrays(bool, (3, 4)))
+def test_masks_survive_a_file(tmp_path, mask):
+    masks.write_mask(tmp_path / "m.png", mask)
+    assert set(np.unique(np.array(Image.open(tmp_path / "m.png")))) <= {0, 255}
+    np.testing.assert_array_equal(masks.read_probability(tmp_path / "m.png"), mask)
+
+
+def test_images_are_clipped(tmp_path):
+    rgb = np.zeros((2, 3, 3), np.float32)
+    rgb[0, 0] = (1.7, -0.3, 0.5)
+    masks.write_image(tmp_path / "i.png", rgb)
+    found = np.array(Image.open(tmp_path / "i.png"))
+    assert found.shape == (2, 3, 3)
+    np.testing.assert_allclose(found[0, 0], (255, 0, 127.5), atol=0.5)
+
+
+@pytest.mark.parametrize(
+    "invalid",
+    [np.full((2, 2), np.nan), np.full((2, 2), 1.5), np.full((2, 2), -0.1), np.zeros((2, 2, 1))],
+)
+def test_values_that_are_not_probabilities_are_refused(tmp_path, invalid):
+    with pytest.raises(InputError, match=r"expected finite values in \[0, 1\]"):
+        masks.write_probability(tmp_path / "p.png", invalid)
+
+
+def palette(*colours: int, transparency: int | None = None) -> Image.Image:
+    image = Image.frombytes("P", (9, 6), MASK.astype(np.uint8).tobytes())
+    image.putpalette(colours)
+    if transparency is not None:
+        image.info["transparency"] = transparency
+    return image
+
+
+def grey(mode: str) -> Image.Image:
+    return Image.fromarray(MASK * np.uint8(255)).convert(mode)
+
+
+BLACK, WHITE = Image.new("L", (9, 6)), Image.new("L", (9, 6), 255)
+
+
+@pytest.mark.parametrize(
+    ("name", "image"),
+    [
+        ("one-bit.png", grey("1")),
+        ("one-bit.tif", grey("1")),
+        ("eight-bit.png", grey("L")),
+        ("zero-one.png", Image.fromarray(MASK.astype(np.uint8))),
+        ("sixteen-bit.png", Image.fromarray(MASK * np.uint16(65535))),
+        ("float.tif", Image.fromarray(MASK.astype(np.float32))),
+        ("rgb.png", grey("RGB")),
+        ("rgba.png", grey("RGBA")),
+        ("grey-alpha.png", grey("LA")),
+        ("transparent.png", Image.merge("LA", (WHITE, grey("L")))),
+        ("palette-grey.png", palette(0, 0, 0, 255, 255, 255)),
+        ("palette-red.png", palette(0, 0, 0, 128, 0, 0)),
+        ("palette-zero-one.png", palette(0, 0, 0, 1, 1, 1)),
+        ("palette-transparent.png", palette(255, 255, 255, 255, 255, 255, transparency=0)),
+        ("red.png", Image.merge("RGB", (grey("L"), BLACK, BLACK))),
+        ("mask.bmp", grey("L")),
+        ("MASK.PNG", grey("L")),
+    ],
+)
+def test_every_layout_of_a_mask_reads_the_same(tmp_path, name, image):
+    image.save(tmp_path / name)
+    found = masks.read_probability(tmp_path / name)
+    assert found.dtype == np.float32
+    np.testing.assert_array_equal(found, MASK)
+
+
+@pytest.mark.parametrize("suffix", ["jpg", "webp"])
+def test_lossy_masks_keep_their_decision(tmp_path, suffix):
+    mask = np.kron(MASK, np.ones((16, 16), bool))
+    Image.fromarray(mask * np.uint8(255)).convert("RGB").save(tmp_path / f"m.{suffix}")
+    np.testing.assert_array_equal(masks.read_probability(tmp_path / f"m.{suffix}") > 0.5, mask)
+
+
+@pytest.mark.parametrize(
+    ("pixels", "expected"),
+    [
+        (LEVELS, LEVELS / 255),
+        (np.stack([LEVELS] * 3, axis=-1), LEVELS / 255),
+        (np.stack([LEVELS, LEVELS + 4, LEVELS + 8], axis=-1), (LEVELS + 4) / 255),
+        (LEVELS * np.uint16(257) + np.uint16(1), (LEVELS * 257.0 + 1) / 65535),
+    ],
+    ids=["grey", "rgb", "almost-grey", "sixteen-bit"],
+)
+def test_levels_are_divided_by_the_largest(tmp_path, pixels, expected):
+    Image.fromarray(pixels).save(tmp_path / "p.png")
+    np.testing.assert_allclose(masks.read_probability(tmp_path / "p.png"), expected, rtol=1e-6)
+
+
+def test_zero_one_overrides_the_default(tmp_path):
+    BLACK.save(tmp_path / "black.png")
+    Image.fromarray(MASK.astype(np.uint8)).save(tmp_path / "one.png")
+    for choice in (None, True, False):
+        assert not masks.read_probability(tmp_path / "black.png", zero_one=choice).any()
+    dark = masks.read_probability(tmp_path / "one.png", zero_one=False)
+    np.testing.assert_allclose(dark, MASK / 255, rtol=1e-6)
+
+
+def test_files_that_are_not_masks_are_refused_in_one_line(tmp_path):
+    noise = np.random.default_rng(0).integers(0, 256, (16, 16, 3), dtype=np.uint8)
+    Image.fromarray(noise).save(tmp_path / "photo.png")
+    (tmp_path / "cut.png").write_bytes((tmp_path / "photo.png").read_bytes()[:100])
+    (tmp_path / "empty.png").write_bytes(b"")
+    (tmp_path / "folder.png").mkdir()
+    for name in ("pages.tif", "frames.png"):
+        BLACK.save(tmp_path / name, save_all=True, append_images=[WHITE])
+    floats = np.full((2, 2), 7, np.float32)
+    for name, pixels in {
+        "seven": floats,
+        "nan": floats * np.float32("nan"),
+        "int": floats.astype("i4"),
+    }.items():
+        Image.fromarray(pixels).save(tmp_path / f"{name}.tif")
+    expected = {
+        "photo.png": "colour picture",
+        "cut.png": "cannot be read",
+        "empty.png": "cannot be read",
+        "folder.png": "is a folder",
+        "missing.png": "no such file",
+        "pages.tif": "2 pages",
+        "frames.png": "2 pages",
+        "seven.tif": r"in \[0, 1\]",
+        "nan.tif": r"in \[0, 1\]",
+        "int.tif": "int32",
+    }
+    for name, problem in expected.items():
+        with pytest.raises(InputError, match=problem) as error:
+            masks.read_probability(tmp_path / name)
+        assert name in str(error.value)
+        assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "file"),
+    [
+        ("img.0001.JPG", "img.0001.JPG.png"),
+        ("left/a.b", "left/a.b.png"),
+        ("left\\a", "left/a.png"),
+        ("a.png", "a.png.png"),
+    ],
+)
+def test_image_paths_keep_dots_and_folders_of_names(tmp_path, name, file):
+    assert masks.image_path(tmp_path, name) == tmp_path / file
+
+
+@pytest.mark.parametrize("name", ["", ".", "..", "../a", "/etc/a", "a/../../b", "C:\\a", "..\\a"])
+def test_names_that_leave_the_folder_are_refused(name):
+    with pytest.raises(InputError, match="cannot name a file"):
+        masks.image_path(Path("out"), name)

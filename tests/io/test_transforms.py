@@ -1,0 +1,75 @@
+"""Frames of a transforms.json are camera-to-world poses with OpenGL axes."""
+
+import numpy as np
+import pytest
+from camera_files import assert_same, opengl_frame, opengl_intrinsics, random_camera, write_json
+from PIL import Image
+
+from gsc_jax.io.cameras import load_cameras
+from gsc_jax.scene import InputError
+
+SIZE, MIRROR = {"w": 2, "h": 2}, np.diag([-1, 1, 1, 1]).tolist()
+FRAME, SHARED = opengl_frame(random_camera()), opengl_intrinsics(random_camera())
+
+
+@pytest.mark.parametrize("per_frame", [False, True])
+def test_intrinsics_are_shared_or_per_frame(tmp_path, per_frame):
+    overruled = {"fl_x": 1.0, "w": 3, "k1": 0.0}
+    shared = overruled if per_frame else SHARED
+    data = {**shared, "frames": [FRAME | SHARED if per_frame else FRAME]}
+    path = write_json(tmp_path / "transforms.json", data)
+    assert_same(load_cameras(path)[0], random_camera())
+
+
+def test_the_size_is_read_from_the_image_if_missing(tmp_path):
+    expected = random_camera(name="train/r_0", centered=True)
+    (tmp_path / "train").mkdir()
+    Image.new("RGB", (640, 400)).save(tmp_path / "train/r_0.png")
+    angle = 2 * np.arctan(320 / 500)
+    data = {"camera_angle_x": angle, "frames": [opengl_frame(expected)]}
+    camera = load_cameras(write_json(tmp_path / "transforms_train.json", data).parent)[0]
+    np.testing.assert_allclose(camera.K, [[500, 0, 320], [0, 500, 200], [0, 0, 1]], rtol=1e-6)
+    assert (camera.width, camera.height, camera.name) == (640, 400, "train/r_0")
+
+
+def test_angles_per_axis_and_matrices_of_three_rows_are_accepted(tmp_path):
+    expected = random_camera(centered=True)
+    frame = opengl_frame(expected)
+    frame["transform_matrix"] = frame["transform_matrix"][:3]
+    K = np.asarray(expected.K, np.float64)
+    data = {
+        "camera_angle_x": 2 * np.arctan(320 / K[0, 0]),
+        "camera_angle_y": 2 * np.arctan(200 / K[1, 1]),
+        "w": 640.0,
+        "h": 400.0,
+        "camera_model": "OPENCV",
+        "frames": [frame],
+    }
+    assert_same(load_cameras(write_json(tmp_path / "transforms.json", data))[0], expected)
+
+
+@pytest.mark.parametrize(
+    ("data", "problem"),
+    [
+        (SHARED | {"frames": 1}, "no list of frames"),
+        (SHARED | {"frames": []}, "holds no cameras"),
+        (SHARED | {"frames": [3]}, "frame 0: "),
+        (SHARED | {"frames": [{}]}, "frame 0: .*file_path"),
+        (SHARED | {"frames": [{"file_path": "a"}]}, r"frame 0 \('a'\): .*transform_matrix"),
+        (SHARED | {"frames": [FRAME | {"transform_matrix": [[1]]}]}, "transform_matrix"),
+        (SHARED | {"frames": [FRAME], "k1": 0.1}, r"distorted \(k1\).*undistort"),
+        (SHARED | {"frames": [FRAME | {"p2": 1e-3}]}, r"distorted \(p2\)"),
+        (SHARED | {"frames": [FRAME], "camera_model": "OPENCV_FISHEYE"}, "OPENCV_FISHEYE"),
+        (SHARED | {"frames": [FRAME], "is_fisheye": True}, "fisheye"),
+        ({"fl_x": 1, "frames": [FRAME]}, "lacks 'w' and 'h'"),
+        (SIZE | {"frames": [FRAME]}, "lacks 'fl_x' and 'camera_angle_x'"),
+        (SIZE | {"camera_angle_x": 60, "frames": [FRAME]}, "camera_angle_x: .* found 60"),
+        (SHARED | {"frames": [FRAME | {"transform_matrix": MIRROR}]}, "contains a reflection"),
+    ],
+)
+def test_invalid_frames_are_named(tmp_path, data, problem):
+    path = write_json(tmp_path / "transforms.json", data)
+    with pytest.raises(InputError, match=problem) as error:
+        load_cameras(path)
+    assert str(error.value).startswith(f"{path}: ")
+    assert "\n" not in str(error.value)

@@ -1,0 +1,61 @@
+"""Small ONNX models and cameras for tests of detectors."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import onnx
+from onnx import NodeProto, TensorProto, helper, numpy_helper
+from strategies import camera
+
+from gsc_jax.scene import Camera
+
+FLOAT = TensorProto.FLOAT
+FREE = (1, 3, "H", "W")
+
+
+def view(name: str = "view", width: int = 8, height: int = 6) -> Camera:
+    return dataclasses.replace(camera(width, height), name=name)
+
+
+def save(path: Path, nodes: list, inputs: dict, outputs: dict, constants: dict) -> Path:
+    """Write a model with inputs and outputs given as (type, shape) by name."""
+    graph = helper.make_graph(
+        nodes,
+        "test",
+        [helper.make_tensor_value_info(name, *facts) for name, facts in inputs.items()],
+        [helper.make_tensor_value_info(name, *facts) for name, facts in outputs.items()],
+        [numpy_helper.from_array(value, name) for name, value in constants.items()],
+    )
+    opset = [helper.make_opsetid("", 17)]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    onnx.save(helper.make_model(graph, opset_imports=opset, ir_version=8), path)
+    return path
+
+
+def network(
+    folder: Path,
+    *nodes: NodeProto,
+    shape: tuple = FREE,
+    map_shape: tuple | None = None,
+    dtype: int = FLOAT,
+    constants: dict | None = None,
+    inputs: tuple[str, ...] = ("image",),
+    outputs: tuple[str, ...] = ("map",),
+) -> Path:
+    """Write net.onnx, by default with the first channel of its input as its map."""
+    return save(
+        folder / "net.onnx",
+        list(nodes or first_channel()),
+        dict.fromkeys(inputs, (dtype, shape)),
+        dict.fromkeys(outputs, (dtype, map_shape)),
+        {"zero": np.array([0]), **(constants or {})},
+    )
+
+
+def first_channel(output: str = "map") -> tuple[NodeProto, ...]:
+    return (helper.make_node("Gather", ["image", "zero"], [output], axis=1),)
+
+
+def identity(output: str = "map") -> NodeProto:
+    return helper.make_node("Identity", ["image"], [output])

@@ -1,0 +1,114 @@
+"""Cameras that do not belong to a scene are detected, with advice."""
+
+import dataclasses
+import time
+
+import numpy as np
+import pytest
+from data import SCENES, load_scene, needs_data
+from strategies import ball, camera, random_scene
+
+from gsc_jax.render.orbit import orbit_cameras
+from gsc_jax.render.visibility import check_views
+from gsc_jax.scene import Camera, Gaussians, InputError
+
+FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+def converted(cameras: list[Camera], convert) -> list[Camera]:
+    return [dataclasses.replace(camera, viewmat=convert(camera.viewmat)) for camera in cameras]
+
+
+def last_message(scene: Gaussians, cameras: list[Camera]) -> str:
+    """The error of the check, or its last warning."""
+    try:
+        return check_views(scene, cameras)[-1]
+    except InputError as error:
+        return str(error)
+
+
+@pytest.mark.parametrize(
+    ("convert", "convention"),
+    [
+        (lambda viewmat: FLIP @ viewmat, "with OpenGL axes (y up, z backward):"),
+        (np.linalg.inv, "as world-to-camera:"),
+        (lambda viewmat: np.linalg.inv(FLIP @ viewmat), "as world-to-camera with OpenGL axes:"),
+    ],
+)
+def test_another_convention_is_recognised(convert, convention):
+    scene = ball()
+    message = last_message(scene, converted(orbit_cameras(scene, 8), convert))
+    assert convention in message
+    assert "\n" not in message
+
+
+def test_a_normalised_scene_is_not_visible():
+    cameras = orbit_cameras(ball(center=(200.0, 0.0, 0.0)), 5)
+    with pytest.raises(InputError, match=r"0\.00%.*belong together"):
+        check_views(ball(radius=0.1), cameras)
+
+
+def test_the_near_plane_that_is_advised_for_a_small_scene_fits():
+    scene = ball(radius=0.01)
+    cameras = orbit_cameras(scene, 6)
+    with pytest.raises(InputError, match=r"near plane.*100%") as error:
+        check_views(scene, cameras)
+    near = float(str(error.value).split("near=")[1].split()[0])
+    assert check_views(scene, cameras, near=near) == []
+
+
+def test_a_near_plane_in_the_middle_of_the_scene_gives_a_warning():
+    scene = ball()
+    cameras = orbit_cameras(scene, 6)
+    middle = float(np.linalg.norm(cameras[0].center - [1, -2, 5]))
+    (warning,) = check_views(scene, cameras, near=middle + 0.5)
+    assert "near plane" in warning
+
+
+def test_cameras_that_see_nothing_are_named():
+    scene = ball()
+    cameras = orbit_cameras(scene, 10)
+    cameras[3:5] = converted(cameras[3:5], lambda viewmat: FLIP @ viewmat)
+    (warning,) = check_views(scene, cameras)
+    assert warning.startswith("2 of 10")
+    assert "orbit_003, orbit_004" in warning
+
+
+def test_a_low_share_of_visible_gaussians_gives_a_warning():
+    view = orbit_cameras(ball(), 1)[0]
+    K = view.K * np.array([[6, 1, 1], [1, 6, 1], [1, 1, 1]], np.float32)
+    (warning,) = check_views(ball(), [dataclasses.replace(view, K=K)])
+    assert "see only" in warning
+
+
+def test_scales_that_are_not_logarithms_give_a_warning():
+    scene = random_scene(400)
+    cameras = orbit_cameras(scene, 4)
+    assert not any("logarithm" in warning for warning in check_views(scene, cameras))
+    linear = dataclasses.replace(scene, log_scales=np.exp(scene.log_scales))
+    assert any("logarithm" in warning for warning in check_views(linear, cameras))
+
+
+def test_no_cameras_and_no_gaussians_are_refused():
+    with pytest.raises(InputError, match="no cameras"):
+        check_views(ball(20), [])
+    with pytest.raises(InputError, match="no Gaussians"):
+        check_views(random_scene(0), [camera()])
+
+
+def test_the_check_of_a_large_scene_is_fast():
+    scene = ball(300_000)
+    cameras = orbit_cameras(scene, 100)
+    start = time.process_time()
+    assert check_views(scene, cameras) == []
+    assert time.process_time() - start < 2
+
+
+@needs_data
+@pytest.mark.parametrize("name", SCENES)
+def test_real_cameras_and_orbits_see_real_scenes(name):
+    scene, cameras = load_scene(name)
+    assert check_views(scene, cameras) == []
+    assert check_views(scene, orbit_cameras(scene, 12)) == []
+    flipped = converted(cameras, lambda viewmat: FLIP @ viewmat)
+    assert "OpenGL axes" in last_message(scene, flipped)

@@ -1,0 +1,33 @@
+"""Rotations and usable rows of Gaussians, and robust statistics."""
+
+import numpy as np
+import reference
+from strategies import random_scene, with_row
+
+from gsc_jax.scene.gaussians import rotation_matrices, usable_rows
+from gsc_jax.scene.statistics import median_and_mad
+
+
+def test_rotation_matrices_are_those_of_the_quaternions():
+    scene = with_row(random_scene(50), "quats", [-2, 0, 0, 0])
+    expected = reference.rotations(scene.quats)
+    np.testing.assert_allclose(rotation_matrices(scene), expected, atol=1e-6)
+
+
+def test_rows_are_usable_unless_a_parameter_is_damaged():
+    scene = random_scene(6)
+    assert usable_rows(scene).all()
+    damage = [("means", 1e30), ("quats", 0), ("log_scales", 50), ("logit_opacities", np.nan)]
+    for row, (field, value) in enumerate(damage):
+        scene = with_row(scene, field, value, row=row)
+    assert usable_rows(with_row(scene, "logit_opacities", np.inf, row=5)).tolist() == [
+        False, False, False, False, True, True,
+    ]  # fmt: skip
+
+
+def test_median_and_mad_are_those_of_a_normal_distribution_despite_outliers():
+    values = np.random.default_rng(0).normal(3.0, 2.0, (1, 10_001))
+    values[0, :500] = 1e9
+    center, spread = median_and_mad(values, axis=1)
+    assert center.shape == spread.shape == (1, 1)
+    np.testing.assert_allclose([center[0, 0], spread[0, 0]], [3.0, 2.0], atol=0.25)

@@ -47,10 +47,10 @@ def report(rows: Frame) -> str:
     table = functools.partial(pivot, rows, "method", "regime", best="min", reference=(ITSELF,))
     return "\n\n".join(
         [
-            "**Untouched scenes: percent of the held-out pixels flagged** (less is better; F1 does "
-            "not exist where nothing is tampered)",
+            "**Authentic scenes: percentage of the held-out pixels flagged** (less is better; F1 "
+            "does not exist where nothing is tampered)",
             table(metric="flagged", digits=1),
-            f"**Share of the untouched scenes of which more than {ALARM} % is flagged**",
+            f"**Share of the authentic scenes of which more than {ALARM} % is flagged**",
             table(metric="alarm"),
         ]
     )
@@ -69,7 +69,7 @@ def chart(rows: Frame, path: Path) -> None:
     axis.set_xscale("symlog", linthresh=ALARM)
     ticks = 0, 0.1, ALARM, 1, 10, 100
     axis.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
-    axis.set(xlabel="held-out pixels flagged in untouched scenes, %", xlim=(-0.03, 105))
+    axis.set(xlabel="held-out pixels flagged in authentic scenes, %", xlim=(-0.03, 105))
     axis.grid(visible=True, alpha=0.25)
     figure.legend(loc="outside upper right", ncols=len(FAILURES))
     charts.save(figure, path)

@@ -68,8 +68,8 @@ def report(rows: Frame) -> str:
         [
             "**F1 by 2D detector.** The first row is the detector itself on the views that it was "
             "shown, the others are scored on held-out views; a network that was given with "
-            "`--onnx` has a column of its name. `difference` knows the original scene, as no "
-            "forensic detector does: it shows what lifting makes of good masks.",
+            "`--onnx` has a column of its name. `difference` has the original scene, which no "
+            "forensic detector has; it shows the effect of lifting on good masks.",
             pivot(rows, "method", "regime", reference=REFERENCE),
             "**F1 by kind of edit, all detectors**",
             pivot(rows, "method", "edit", reference=REFERENCE),

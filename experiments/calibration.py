@@ -108,15 +108,16 @@ def report(rows: Frame) -> str:
     ]
     return "\n\n".join(
         [
-            "**Said and true, over all edits and failures**, weighted by what held-out views show "
+            "**Probability and truth, over all edits and failures**, weighted by the pixels in "
+            "held-out views "
             f"(expected calibration error {expected_error(edited):.3f}; between the first bin and "
             f"the last {undecided_error(edited):.3f})",
             markdown(["share", "probability", "truly tampered"], reliability),
             "**Expected calibration error by failure**",
             markdown(["failure", "error"], errors),
             f"**The verdict**: area under the curve {verdict_auc(rows):.3f}, over "
-            f"{len(where(edited, bin=-1))} looks at edited and {len(where(pristine, bin=-1))} at "
-            "untouched scenes; where both failed alike, "
+            f"{len(where(edited, bin=-1))} observations of edited and "
+            f"{len(where(pristine, bin=-1))} of authentic scenes; with the same failure in both, "
             + ", ".join(
                 f"{name} {verdict_auc(where(rows, regime=name)):.3f}"
                 for name in pristine.regime.unique()
@@ -129,7 +130,7 @@ def report(rows: Frame) -> str:
 def verdicts(edited: Frame, pristine: Frame) -> str:
     """Tabulate by failure how often a scene is called tampered, and what is falsely flagged."""
     lines = []
-    for kind, rows in (("edited", edited), ("untouched", pristine)):
+    for kind, rows in (("edited", edited), ("authentic", pristine)):
         for regime in rows.regime.unique():
             own = where(rows, regime=regime, bin=-1)
             called = own.verdict > 0.5
@@ -148,13 +149,13 @@ def chart(rows: Frame, path: Path) -> None:
         bins = bins_of(where(edited, regime=regime))
         style = {"marker": charts.MARKERS[k], "color": charts.COLORS[k], "ms": 4, "lw": 1}
         left.plot(bins.said, bins.true, label=regime, **style)
-    left.set(xlabel="probability to be tampered", ylabel="truly tampered")
+    left.set(xlabel="probability of tampering", ylabel="truly tampered")
     left.legend(fontsize=8)
     scenes = where(rows, bin=-1)
-    for kind, color in (("edited", charts.COLORS[1]), ("untouched", charts.COLORS[0])):
-        values = scenes.verdict[(scenes.edit == "none") == (kind == "untouched")]
+    for kind, color in (("edited", charts.COLORS[1]), ("authentic", charts.COLORS[0])):
+        values = scenes.verdict[(scenes.edit == "none") == (kind == "authentic")]
         right.hist(values, bins=np.linspace(0, 1, 21), color=color, alpha=0.6, label=kind)
-    right.set(xlabel="verdict: probability that anything was tampered with", ylabel="looks")
+    right.set(xlabel="verdict: probability that anything was edited", ylabel="observations")
     right.legend(fontsize=8)
     charts.save(figure, path)
 

@@ -92,9 +92,8 @@ def main(args: FewArgs) -> None:
     names = (QUICK,) if args.quick else MADE
     cases = dataclasses.replace(args, scenes=names).cases()
     rows = measured(args, "enough", (rows_of(case) for case in cases))
-    text = (
-        "**Views looked at, and F1 there less F1 of all views, mean (worst), by tolerance**\n\n"
-        + table(rows)
+    text = "**Views used, and F1 minus that of all views, mean (worst), by tolerance**\n\n" + table(
+        rows
     )
     print(text)
     write_section(args.out / "results.md", "enough", text)

@@ -151,51 +151,58 @@ def _named(rows: pd.DataFrame) -> pd.DataFrame:
 
 def report(rows: pd.DataFrame) -> str:
     """All tables."""
-    edited, authentic = rows[rows.edit != "none"], where(rows, edit="none")
-    alone = _named(where(edited, regime=NO_MASKS))
+    return "\n\n".join([*_tables_without_masks(rows), *_tables_with_masks(rows)])
+
+
+def _tables_without_masks(rows: pd.DataFrame) -> list[str]:
+    alone = _named(where(rows[rows.edit != "none"], regime=NO_MASKS))
     bare = where(alone, export="8 bits", method=WITHOUT_TRACES)
+    table = functools.partial(pivot, alone, "evidence", "edit", best=None)
+    detail = functools.partial(pivot, across="edit", metric="auc", digits=3, best=None)
+    return [
+        "**AUC per Gaussian, no 2D detector**, each scene by a classifier that never saw it",
+        table(metric="auc", digits=3),
+        "**F1 per held-out view, no 2D detector**",
+        table(),
+        "**IoU per held-out view, no 2D detector**",
+        table(metric="iou"),
+        "**F1 per Gaussian, no 2D detector**",
+        table(metric="f1_gaussians"),
+        "**AUC per Gaussian of incorporations by what was pasted, 8 bits, no traces.** The "
+        "scanned objects and the vase were pasted into other scenes in training; what was cut "
+        "from another scene was not",
+        detail(where(bare, edit="incorporation"), "donor", total=False),
+        "**Expected calibration error of the probability per Gaussian**",
+        table(metric="ece", digits=3),
+        "**AUC per Gaussian by scene, 8 bits, no traces**",
+        detail(bare, "scene"),
+        "**Number of cases in which each trace was found**",
+        traces_found(where(rows, regime=NO_MASKS, method=WITH_TRACES)),
+    ]
+
+
+def _tables_with_masks(rows: pd.DataFrame) -> list[str]:
+    edited, authentic = rows[rows.edit != "none"], where(rows, edit="none")
     fresh, saved = (where(edited[edited.regime != NO_MASKS], export=name) for name in EXPORTS)
     mixture = where(saved, regime="mixture")
     flagged = _named(authentic).assign(flagged=100 * authentic.false_area)
-    table = functools.partial(pivot, alone, "evidence", "edit", best=None)
     lifted = functools.partial(pivot, digits=3, reference=REFERENCE)
-    detail = functools.partial(pivot, across="edit", metric="auc", digits=3, best=None)
-    return "\n\n".join(
-        [
-            "**AUC per Gaussian, no 2D detector**, each scene by a classifier that never saw it",
-            table(metric="auc", digits=3),
-            "**F1 per held-out view, no 2D detector**",
-            table(),
-            "**IoU per held-out view, no 2D detector**",
-            table(metric="iou"),
-            "**F1 per Gaussian, no 2D detector**",
-            table(metric="f1_gaussians"),
-            "**AUC per Gaussian of incorporations by what was pasted, 8 bits, no traces.** The "
-            "scanned objects and the vase were pasted into other scenes in training; what was cut "
-            "from another scene was not",
-            detail(where(bare, edit="incorporation"), "donor", total=False),
-            "**Expected calibration error of the probability per Gaussian**",
-            table(metric="ece", digits=3),
-            "**AUC per Gaussian by scene, 8 bits, no traces**",
-            detail(bare, "scene"),
-            "**Number of cases in which each trace was found**",
-            traces_found(where(rows, regime=NO_MASKS, method=WITH_TRACES)),
-            "**Was anything edited? AUC of the verdict**, edited against authentic scenes",
-            verdicts(rows),
-            "**With the masks of a detector: F1 per held-out view**, all edits, 8 bits. The "
-            "detector itself is scored on the views that it was shown",
-            lifted(saved, "method", "regime"),
-            "**The same by kind of edit, mixture of failures**",
-            lifted(mixture, "method", "edit"),
-            "**The same: IoU**",
-            lifted(mixture, "method", "edit", metric="iou"),
-            "**The same as edited, with traces: F1**",
-            lifted(fresh, "method", "edit"),
-            "**Authentic scenes: percent of the pixels flagged**, in held-out views except for the "
-            "detector itself",
-            pivot(flagged, "evidence", "regime", metric="flagged", best=None, total=False),
-        ]
-    )
+    return [
+        "**Was anything edited? AUC of the verdict**, edited against authentic scenes",
+        verdicts(rows),
+        "**With the masks of a detector: F1 per held-out view**, all edits, 8 bits. The "
+        "detector itself is scored on the views that it was shown",
+        lifted(saved, "method", "regime"),
+        "**The same by kind of edit, mixture of failures**",
+        lifted(mixture, "method", "edit"),
+        "**The same: IoU**",
+        lifted(mixture, "method", "edit", metric="iou"),
+        "**The same as edited, with traces: F1**",
+        lifted(fresh, "method", "edit"),
+        "**Authentic scenes: percent of the pixels flagged**, in held-out views except for the "
+        "detector itself",
+        pivot(flagged, "evidence", "regime", metric="flagged", best=None, total=False),
+    ]
 
 
 def traces_found(rows: pd.DataFrame) -> str:

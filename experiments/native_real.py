@@ -48,7 +48,7 @@ def findings(scene: Scene, keep: Path) -> Iterator[tuple[str, Finding]]:
 def scores(scene: Scene, finding: Finding, labels: np.ndarray) -> dict[str, str]:
     """AUC and F1 per Gaussian, F1 on the held-out views, and the verdict."""
     masks = [
-        view_mask(scene.gaussians, camera, finding.tamper, finding.labels, rule="share")
+        view_mask(scene.gaussians, camera, finding, rule="share")
         for camera in scene.cameras[HELDOUT]
     ]
     values = {

@@ -136,8 +136,8 @@ def main(args: FewArgs) -> None:
     cases = args.one_edit_each()
     rows = measured(args, "parsimony", (rows_of(case, shares) for case in cases))
     text = "\n\n".join(
-        f"**Least share from which on F1 is at most {CLOSE} below that of all, {regime} masks; "
-        f"and the best share where fewer is better**\n\n{table(where(rows, regime=regime))}"
+        f"**Least share with an F1 at most {CLOSE} below that of the full run, {regime} masks; and "
+        f"the best share where fewer is better**\n\n{table(where(rows, regime=regime))}"
         for regime in rows.regime.unique()
     )
     print(text)

@@ -20,7 +20,7 @@ from baselines import flashsplat, mode_vote, sa3d
 from methods import seeded
 from tables import Frame, Row, markdown, where, write_csv, write_section
 
-from gsc_jax import FolderDetector, load_cameras, load_ply, view_mask
+from gsc_jax import FolderDetector, load_cameras, load_ply, rendered_share, view_mask
 from gsc_jax.benchmark.baseline import inverse_projection
 from gsc_jax.benchmark.metrics import confusion
 from gsc_jax.estimators import RobustEstimator
@@ -106,16 +106,15 @@ def predictions(scene: Scene) -> Iterator[tuple[str, int, str, list[np.ndarray]]
     yield "detector masks", 0, OBSERVED, detector
     for name, labels in baselines(scene.observation).items():
         for kind, cameras in scene.cameras.items():
-            masks = [view_mask(scene.gaussians, c, labels, labels, rule="share") for c in cameras]
+            masks = [rendered_share(scene.gaussians, c, labels) > 0.5 for c in cameras]
             yield name, 0, kind, masks
     for name, estimator in variants():
         random = getattr(estimator, "shuffle", True)
         for seed in range(SEEDS if random else 1):
             finding = seeded(estimator, seed).estimate(scene.observation)
-            scored = finding.tamper, finding.labels
             options = {"rule": estimator.mask_rule, "threshold": estimator.threshold}
             for kind, cameras in scene.cameras.items():
-                masks = [view_mask(scene.gaussians, c, *scored, **options) for c in cameras]
+                masks = [view_mask(scene.gaussians, c, finding, **options) for c in cameras]
                 yield name, seed, kind, masks
 
 

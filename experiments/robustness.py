@@ -77,9 +77,8 @@ def report(rows: Frame) -> str:
             f"Noise of {strength('noise')} on renders in [0, 1]; renders blurred by "
             f"{strength('blur')} pixels; noise of {strength('scales')} on the logarithms of the "
             f"scales; noise of {strength('opacities')} on opacities in [0, 1]. Noise on renders "
-            "need not harm the detector that looks at them: it lifts weak differences over the "
-            "level at which they are flagged.",
-            "**F1 on modifications, the detector looks at the distorted renders** (the paper's "
+            "can help this detector: it lifts weak differences above its threshold.",
+            "**F1 on modifications, the detector is given the distorted renders** (the paper's "
             "Table 2; its figures are from other scenes, another detector and unknown strengths)",
             table(compared, extra=quoted(PAPER)),
             "**F1 on modifications, mixture of failures, the masks unaffected by the distortion** "

@@ -121,7 +121,7 @@ def main(args: FewArgs) -> None:
     points = averaged(rows)
     front = front_of(points)
     text = (
-        "**F1 against seconds, mixture of failures: the settings that no faster one equals**\n\n"
+        "**F1 against seconds, mixture of failures: settings whose F1 no faster one reaches**\n\n"
         f"{table(front)}\n\n**Each method at its best, and its cheapest setting within {CLOSE} of "
         f"that**\n\n{table(extremes(points))}"
     )

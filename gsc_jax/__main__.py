@@ -20,11 +20,7 @@ GRACE_SECONDS = 5.0
 
 
 def main() -> int:
-    """Run the command line of this process.
-
-    Returns:
-        The exit code; after a signal the function does not return.
-    """
+    """Run the command line of this process and return its exit code, except after a signal."""
     stop = _Stop()
     from gsc_jax.cli.main import main as run
 
@@ -38,16 +34,12 @@ def main() -> int:
 
 
 class _Stop:
-    """Handler of SIGINT and SIGTERM: raises KeyboardInterrupt at the first signal.
-
-    Attributes:
-        imported: Whether importing has ended; until then a signal ends the process at once.
-        number: The signal that was received, or 0.
-        frame: The interrupted frame, kept alive because native threads may still read its arrays.
-    """
+    """Handler of SIGINT and SIGTERM: raises KeyboardInterrupt at the first signal."""
 
     def __init__(self) -> None:
-        self.imported, self.number, self.frame = False, 0, None
+        self.imported = False  # until then, a signal ends the process at once
+        self.number = 0  # the signal that was received
+        self.frame = None  # the interrupted frame: native threads may still read its arrays
         # A signal that is ignored already, as in a background job, stays ignored.
         if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
             signal.signal(signal.SIGINT, self)

@@ -239,15 +239,7 @@ def _view_masks(
 
     def mask_of(camera: Camera) -> np.ndarray:
         with monitor.stage("masks"):
-            return view_mask(
-                gaussians,
-                camera,
-                finding.tamper,
-                finding.labels,
-                rule=rule,
-                threshold=threshold,
-                near=near,
-            )
+            return view_mask(gaussians, camera, finding, rule=rule, threshold=threshold, near=near)
 
     masks = {}
     with ThreadPoolExecutor(WORKERS) as pool:

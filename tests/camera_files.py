@@ -67,7 +67,13 @@ def write_colmap(folder: Path, cameras: list[Camera], *, model="PINHOLE", text=F
         params = [K[0, 0], K[1, 1], K[0, 2], K[1, 2]]
         params += [0.1, 0, 0, 0] if model == "OPENCV" else []
         reconstruction.add_camera_with_trivial_rig(
-            pycolmap.Camera(model=model, width=640, height=400, params=params, camera_id=index)
+            pycolmap.Camera(
+                model=model,
+                width=camera.width,
+                height=camera.height,
+                params=params,
+                camera_id=index,
+            )
         )
         reconstruction.add_image_with_trivial_frame(
             pycolmap.Image(name=camera.name, camera_id=index, image_id=index),

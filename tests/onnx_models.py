@@ -59,3 +59,29 @@ def first_channel(output: str = "map") -> tuple[NodeProto, ...]:
 
 def identity(output: str = "map") -> NodeProto:
     return helper.make_node("Identity", ["image"], [output])
+
+
+WEIGHTS = np.full((4, 4), 7, np.float32)
+
+
+def external_model(folder: Path, location: str) -> Path:
+    """Write net.onnx, which adds `WEIGHTS` from another file to its input."""
+    tensor = TensorProto(name="w", data_type=FLOAT, dims=(4, 4), data_location="EXTERNAL")
+    for key, value in {"offset": "0", "location": location, "length": "64"}.items():
+        entry = tensor.external_data.add()
+        entry.key, entry.value = key, value
+    x, y = (helper.make_tensor_value_info(name, FLOAT, (4, 4)) for name in "xy")
+    add = helper.make_node("Add", ["x", "w"], ["y"])
+    graph = helper.make_graph([add], "test", [x], [y], initializer=[tensor])
+    opset = [helper.make_opsetid("", 17)]
+    proto = helper.make_model(graph, opset_imports=opset, ir_version=8)
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "net.onnx").write_bytes(proto.SerializeToString())
+    return folder / "net.onnx"
+
+
+def external_data(path: Path) -> Path:
+    """Write the file of `WEIGHTS`."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(WEIGHTS.tobytes())
+    return path

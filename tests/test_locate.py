@@ -21,6 +21,7 @@ from gsc_jax import (
 )
 from gsc_jax.benchmark.metrics import confusion
 from gsc_jax.detectors.folder import FolderDetector
+from gsc_jax.estimators import Method
 from gsc_jax.estimators.protocol import ALL_FLAGGED, NONE_FLAGGED
 from gsc_jax.evidence.detector import as_detector, fit_to_view
 from gsc_jax.locate import _unconfirmed
@@ -153,7 +154,7 @@ def test_a_sweep_equals_separate_estimates():
 
 
 @EVERY_METHOD
-def test_a_prior_is_used_or_a_warning_reports_that_it_is_not(method):
+def test_a_prior_is_used_or_a_warning_reports_that_it_is_not(method: Method):
     observation = observe(SCENE, cameras(), truths())
     prior = Prior(
         probability=np.where(TRUTH, 0.01, 0.99).astype(np.float32),
@@ -241,7 +242,9 @@ def test_cameras_without_a_mask_are_counted_and_still_get_one():
 
 def test_progress_and_stages_are_recorded():
     calls = []
-    result = locate(SCENE, cameras(2), truths(), monitor=Monitor(lambda *step: calls.append(step)))
+    result = locate(
+        SCENE, cameras(2), truths(), monitor=Monitor(progress=lambda *step: calls.append(step))
+    )
     assert ("views", 2, 2) in calls
     assert ("masks", 2, 2) in calls
     assert {"project", "bin", "detect", "lift", "vote", "optimise", "masks"} <= set(result.stages)

@@ -12,6 +12,7 @@ import pytest
 from strategies import camera, random_scene
 
 import gsc_jax
+from gsc_jax.evidence.masks import Labelled
 
 PUBLIC = {name: getattr(gsc_jax, name) for name in gsc_jax.__all__}
 CLASSES = {name: value for name, value in PUBLIC.items() if inspect.isclass(value)}
@@ -110,8 +111,7 @@ def test_results_are_float32_whatever_the_type_of_the_arguments(name):
         "features": np.ones((20, 2)),
         "feature": np.ones(20),
         "maps": np.ones((15, 17, 2)),
-        "tamper": np.ones(20),
-        "labels": np.ones(20, bool),
+        "scored": Labelled(np.ones(20), np.ones(20, bool)),
     }
     required = [p.name for p in parameters(RENDERERS[name])[2:] if p.default is p.empty]
     result = RENDERERS[name](gaussians, view, *(known[parameter] for parameter in required))

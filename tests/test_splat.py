@@ -8,25 +8,22 @@ import numpy as np
 import pytest
 import reference
 from data import SCENES, cropped, load_scene, needs_data
-from hypothesis import given
-from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-from strategies import COUNT, blobs, camera, floats, motions, random_scene, scenes, with_row
-from tolerances import ADJOINT, ROUNDING, assert_same_image, assert_same_sums
+from strategies import blobs, camera, random_scene, with_row
+from tolerances import ROUNDING, assert_same_image, assert_same_sums
 
 import gsc_jax
 from gsc_jax.render.tiles import make_view
-from gsc_jax.splat import CHUNK, accumulate, blend_pixel, composite
+from gsc_jax.splat import accumulate, composite
 
 SIZES = [(1, 1), (15, 17), (33, 15), (17, 33)]
 VIEW = camera(17, 15)
 MAPS = np.random.default_rng(0).random((15, 17, 2)).astype(np.float32)
 
 
-def one_pixel(gaussians, features=None, **options):
-    """Features and alpha of the only pixel of a camera that looks along the z axis."""
-    features = np.eye(len(gaussians), dtype=np.float32) if features is None else features
-    image, alpha = gsc_jax.render_features(gaussians, camera(1, 1), features, **options)
+def one_pixel(gaussians):
+    """Weights and alpha of the only pixel of a camera that looks along the z axis."""
+    image, alpha = gsc_jax.render_features(gaussians, camera(1, 1), np.eye(len(gaussians)))
     return np.asarray(image[0, 0]), float(alpha[0, 0])
 
 
@@ -35,7 +32,8 @@ def assert_agrees(gaussians, view, *, background=(0.2, 0.4, 0.6)) -> reference.B
     image, alpha = gsc_jax.render(gaussians, view, background=background)
     rgb, opaque, blend = reference.render(gaussians, view, background=background)
     assert image.dtype == alpha.dtype == jnp.float32
-    brightest = max(1.0, reference.colors(gaussians, reference.camera_center(view)).max())
+    colors = reference.colors(gaussians, reference.camera_center(view))
+    brightest = colors.max(initial=1.0)
     assert_same_image(image, rgb, brightest * blend.jump)
     assert_same_image(alpha[..., None], opaque[..., None], blend.jump)
     maps = np.random.default_rng(1).normal(size=(view.height, view.width, 2)).astype(np.float32)
@@ -130,13 +128,8 @@ def test_two_alphas_of_99_percent_reach_the_limit_within_the_slack_of_the_refere
 @pytest.mark.usefixtures("nan_is_an_error")
 @pytest.mark.parametrize("count", [0, 1])
 def test_zero_or_one_gaussian_agrees_with_the_reference(count):
-    gaussians = blobs(np.tile([0.1, 0.1, 2], (count, 1)))
-    image, alpha = gsc_jax.render(gaussians, VIEW, background=(1, 0, 0.5))
-    rgb, opaque, blend = reference.render(gaussians, VIEW, background=(1, 0, 0.5))
-    assert_same_image(image, rgb, blend.jump)
-    assert_same_image(alpha[..., None], opaque[..., None], blend.jump)
-    assert_same_sums(gsc_jax.accumulate(gaussians, VIEW, MAPS), blend.accumulate(MAPS))
-    assert (float(alpha.max()) > 0.1) == (count == 1), "the splat is invisible"
+    blend = assert_agrees(blobs(np.tile([0.1, 0.1, 2], (count, 1))), VIEW)
+    assert blend.weights.any() == (count == 1), "the splat is invisible"
 
 
 @pytest.mark.usefixtures("nan_is_an_error")
@@ -150,10 +143,9 @@ def test_a_view_without_visible_gaussians_shows_the_background():
 
 def test_every_renderer_has_a_near_plane():
     close = blobs([0, 0, 0.1], opacity=0.9)
-    feature = np.ones((1, 1), np.float32)
     assert not gsc_jax.render(close, VIEW)[1].any()
     assert gsc_jax.render(close, VIEW, near=0.01)[1].any(), "the splat is invisible"
-    assert gsc_jax.render_features(close, VIEW, feature, near=0.01)[1].any()
+    assert gsc_jax.render_features(close, VIEW, np.ones((1, 1)), near=0.01)[1].any()
     assert gsc_jax.accumulate(close, VIEW, MAPS, near=0.01).any()
 
 
@@ -225,77 +217,6 @@ def test_the_gradient_of_a_loss_on_an_image_is_accumulate(transform):
     lifted = accumulate(view, jnp.asarray(residual, jnp.float32))
     np.testing.assert_allclose(gradient, lifted, rtol=1e-4, atol=1e-5)
     assert float(jnp.abs(gradient).max()) > 0.1
-
-
-@given(scenes(), floats((COUNT, 2), -1, 1), floats((15, 17, 2), -1, 1))
-def test_accumulate_is_the_adjoint_of_composite(gaussians, features, maps):
-    view = make_view(gaussians, VIEW)
-    image = np.asarray(composite(view, jnp.asarray(features)), np.float64)
-    sums = np.asarray(accumulate(view, jnp.asarray(maps)), np.float64)
-    size = np.vdot(composite(view, jnp.abs(features)), np.abs(maps))
-    assert abs(np.vdot(image, maps) - np.vdot(features, sums)) <= ADJOINT * size + 1e-30
-
-
-def weights_of(gaussians, view=VIEW, **options) -> np.ndarray:
-    """The matrix W, (H, W, N)."""
-    identity = jnp.eye(len(gaussians))
-    return np.asarray(composite(make_view(gaussians, view, **options), identity))
-
-
-@given(scenes())
-def test_weights_are_nonnegative_and_sum_to_alpha_below_1(gaussians):
-    weights = weights_of(gaussians)
-    alpha = weights.sum(axis=-1)
-    assert weights.min() >= 0
-    assert weights.max() <= 0.99 * (1 + 1e-6)
-    assert alpha.max() <= 1 - 1e-4 + ROUNDING
-
-
-def test_weights_are_exactly_zero_for_zero_opacity_and_never_negative():
-    rng = np.random.default_rng(0)
-    alphas = rng.uniform(1 / 255, 0.99, (512, 64, CHUNK)).astype(np.float32) ** 2
-    alphas[rng.random(alphas.shape) < 0.5] = 0
-    light = rng.random((512, 64)).astype(np.float32)
-    weights, behind = jax.jit(jax.vmap(jax.vmap(blend_pixel)))(light, alphas)
-    assert (weights >= 0).all()
-    assert (weights == 0)[alphas == 0].all()
-    products = light[..., None] * np.cumprod(1.0 - alphas.astype(np.float64), axis=-1)
-    expected = np.where(products >= 1e-4, products / (1 - alphas) * alphas, 0)
-    clear = np.abs(products / 1e-4 - 1) > 1e-5
-    np.testing.assert_allclose(weights[clear], expected[clear], rtol=0, atol=2e-7)
-    np.testing.assert_allclose(behind, products[..., -1], rtol=1e-5)
-
-
-@given(scenes())
-def test_splats_that_do_not_cover_a_pixel_have_weight_zero_there(gaussians):
-    blend = reference.blending(gaussians, VIEW)
-    expected = blend.composite(np.eye(len(gaussians)))
-    uncovered = blend.clear[..., None] & (expected == 0)
-    assert (weights_of(gaussians)[uncovered] == 0).all()
-
-
-@given(scenes(), st.permutations(range(COUNT)))
-def test_permuting_gaussians_permutes_the_columns_of_w(gaussians, order):
-    permuted = gaussians.take(np.array(order))
-    # Exact, because splats are blended in depth order in both cases.
-    np.testing.assert_array_equal(weights_of(permuted), weights_of(gaussians)[..., order])
-
-
-@given(scenes(), motions())
-def test_moving_scene_and_camera_together_changes_nothing_at_degree_0(gaussians, motion):
-    rotation, shift = Rotation.from_quat(motion[0], scalar_first=True), motion[1]
-    viewmat = np.eye(4)
-    viewmat[:3, :3], viewmat[:3, 3] = rotation.inv().as_matrix(), -rotation.inv().apply(shift)
-    turned = rotation * Rotation.from_quat(gaussians.quats, scalar_first=True)
-    moved = dataclasses.replace(
-        gaussians,
-        means=(rotation.apply(gaussians.means) + shift).astype(np.float32),
-        quats=turned.as_quat(scalar_first=True).astype(np.float32),
-    )
-    image, _ = gsc_jax.render(moved, camera(17, 15, viewmat=viewmat))
-    expected, _ = gsc_jax.render(gaussians, VIEW)
-    jump = reference.blending(gaussians, VIEW).jump
-    np.testing.assert_array_less(np.abs(image - expected).max(axis=-1), jump + 1e-4)
 
 
 @pytest.mark.parametrize("lockstep", [1, 7, 999])

@@ -67,14 +67,9 @@ def make_object(*, seed: int = 0, count: int = 5_000) -> Gaussians:
 def room_cameras(
     n: int, *, width: int = 480, height: int = 360, seed: int = 0, prefix: str = "room"
 ) -> list[Camera]:
-    """Make n hand-held cameras on a walk around the table; every eighth looks along the wall.
+    """Make n hand-held cameras on a walk around the table, named `room_000` and so on.
 
-    Args:
-        n: Number of cameras.
-        width: Image width in pixels.
-        height: Image height in pixels.
-        seed: Seed of the start of the walk and of the shake of the hand.
-        prefix: Prefix of the names: `room_000` and so on.
+    Every eighth looks along the wall. Width and height are in pixels.
     """
     rng = np.random.default_rng([seed, 2])
     turns = 2 * np.pi * (np.arange(n) + rng.random() + rng.uniform(-0.3, 0.3, n)) / max(n, 1)

@@ -189,12 +189,7 @@ def textured(texture: Texture, uv: np.ndarray) -> np.ndarray:
 def sample_parts(
     parts: Sequence[Part], count: int, *, statistics: TrainingStatistics, rng: np.random.Generator
 ) -> Gaussians:
-    """Cover parts with `count` Gaussians of degree 1, in the order of the parts.
-
-    Raises:
-        ValueError: if the count is not positive.
-        InputError: if the installed scikit-image lacks its images.
-    """
+    """Cover parts with `count` Gaussians of degree 1, in the order of the parts."""
     if count < 1:
         raise ValueError(f"count of Gaussians must be at least 1, got {count}")
     shares = np.cumsum([part.surface.area * part.detail for part in parts])
@@ -238,9 +233,8 @@ def _surfels(
     frames = np.stack([tangents, np.cross(normals, tangents), normals], axis=-1)
     # As an optimiser leaves them, quaternions have either sign and any length.
     length = rng.choice([-1, 1], (count, 1)) * rng.lognormal(0, 0.3, (count, 1))
-    size = np.log(spacing)[:, None] + np.log(
-        [statistics.overlap, statistics.overlap, statistics.thickness]
-    )
+    widths = statistics.overlap, statistics.overlap, statistics.thickness
+    size = np.log(spacing)[:, None] + np.log(widths)
     faint = rng.random(count) < 0.08
     logits = np.where(faint, rng.normal(-0.5, 1.2, count), rng.normal(*statistics.opacity, count))
     sheen = statistics.gloss / (np.sqrt(3) * Y0) * normals[:, [1, 2, 0]] * [1, -1, 1]

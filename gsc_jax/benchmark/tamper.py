@@ -77,18 +77,16 @@ def tamper(
 ) -> Tampered:
     """Edit a scene where its cameras look.
 
+    Authentic rows equal those of the original to the bit.
+
     Args:
         gaussians: The authentic scene.
         cameras: Its V cameras, mostly held level: the vertical is the mean of their up vectors.
         edit: One of `EDITS`.
-        donor: Object to paste, upright with up = -y, at any position, scale and degree; required
-            for an incorporation and refused otherwise.
+        donor: Object to paste, upright with up = -y; for an incorporation, and only for it.
         size: Median share of the pixels that the edit should cover in the views that see it.
         near: Near plane in world units.
         seed: Seed of the random choices.
-
-    Returns:
-        The tampered scene. Authentic rows equal those of the original to the bit.
 
     Raises:
         ValueError: if the edit is unknown, the size is not in (0, 0.5], or the donor is missing,

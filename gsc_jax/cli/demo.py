@@ -25,7 +25,7 @@ from gsc_jax.cli.pictures import contact_sheet, overlay
 from gsc_jax.cli.scene_input import evenly_spaced
 from gsc_jax.cli.tamper import write_probabilities, write_scene, write_truth
 from gsc_jax.estimators import Method
-from gsc_jax.evidence.masks import MaskRule, view_mask
+from gsc_jax.evidence.masks import Labelled, MaskRule, view_mask
 from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.io.cameras import save_cameras
 from gsc_jax.locate import Result
@@ -106,16 +106,14 @@ def run_demo(
     return [
         *_introduction(case),
         "",
-        *_gaussian_table(case, labels),
-        "",
-        *_view_table(case, found),
+        *_score_table(case, labels, found),
         "",
         *EXPLANATION.splitlines(),
         "",
         *_verdict_table(edited, unedited),
         "",
-        f"look at  {options.out / 'heldout.png'}: the truth beside the masks of each method",
-        *(f"         {options.out / name / 'report.html'}" for name in reports),
+        f"images   {options.out / 'heldout.png'}: the truth beside the masks of each method",
+        *(f"report   {options.out / name / 'report.html'}" for name in reports),
         f"again    {sys.argv[0]} locate {given / 'scene.ply'} --cameras {given / 'cameras.json'} "
         f"--masks {given / 'masks'} --out found",
     ]
@@ -156,7 +154,7 @@ def _locate(given: Path, options: Demo, name: str, monitor: Monitor, prefix: str
         method=RUNS[name],
         seed=options.seed,
     )
-    return run_locate(command, monitor=Monitor(monitor.progress)).result
+    return run_locate(command, monitor=Monitor(progress=monitor.progress)).result
 
 
 def _run_unedited(
@@ -184,7 +182,7 @@ def _inverse_projection(case: Case) -> np.ndarray:
 def _heldout_masks(case: Case, tamper: np.ndarray, labels: np.ndarray, rule: MaskRule) -> Views:
     made = case.made
     return {
-        camera.name: view_mask(made.gaussians, camera, tamper, labels, rule=rule)
+        camera.name: view_mask(made.gaussians, camera, Labelled(tamper, labels), rule=rule)
         for camera in made.heldout_cameras
     }
 
@@ -205,26 +203,21 @@ def _introduction(case: Case) -> list[str]:
     )
 
 
-def _gaussian_table(case: Case, labels: Mapping[str, np.ndarray]) -> list[str]:
-    lines = [f"{'Gaussians':20}{'found':>8}{'precision':>11}{'recall':>8}{'F1':>7}"]
-    for name, found in labels.items():
-        score = confusion(found, case.made.labels)
-        lines.append(
-            f"{name:20}{found.sum():8,}{score.precision:11.3f}{score.recall:8.3f}{score.f1:7.3f}"
-        )
-    return lines
-
-
-def _view_table(case: Case, found: Mapping[str, Views]) -> list[str]:
-    """F1 of each held-out view; the detector's masks of these views are for comparison only."""
-    cameras, lines = case.made.heldout_cameras, []
+def _score_table(
+    case: Case, labels: Mapping[str, np.ndarray], found: Mapping[str, Views]
+) -> list[str]:
+    """Scores of the labels, and of the masks of the held-out views; the detector has no labels."""
+    titles = ("found", "precision", "recall", "F1", "views: F1", "IoU")
+    lines = [f"{'Gaussians':20}" + "".join(f"{title:>11}" for title in titles)]
     for name, masks in {"detector alone": case.detector, **found}.items():
-        score = mean_over_tampered_views(*_select(cameras, masks, case.truth))
-        if not lines:
-            views = [cameras[view].name.rpartition("_")[2] for view in score.views]
-            lines = [_row("F1 of held-out view", views, "mean", "IoU")]
-        cells = [f"{f1:.2f}" for f1 in score.per_view["f1"]]
-        lines.append(_row(name, cells, f"{score.f1:.2f}", f"{score.iou:.2f}"))
+        cells = [""] * 4
+        if name in labels:
+            score = confusion(labels[name], case.made.labels)
+            measures = (score.precision, score.recall, score.f1)
+            cells = [f"{labels[name].sum():,}", *(f"{measure:.3f}" for measure in measures)]
+        means = mean_over_tampered_views(*_select(case.made.heldout_cameras, masks, case.truth))
+        cells += [f"{means.f1:.3f}", f"{means.iou:.3f}"]
+        lines.append(f"{name:20}" + "".join(f"{cell:>11}" for cell in cells))
     return lines
 
 
@@ -234,10 +227,6 @@ def _verdict_table(edited: Mapping[str, Result], unedited: Mapping[str, Result])
         verdicts = f"{edited[name].verdict or 0.0:15.0%}{result.verdict or 0.0:10.0%}"
         lines.append(f"{name:24}{verdicts}{result.labels.sum():16,}")
     return lines
-
-
-def _row(name: str, cells: Sequence[str], *means: str) -> str:
-    return f"{name:20}" + "".join(f"{c:>6}" for c in cells) + "".join(f"{m:>8}" for m in means)
 
 
 def _select(

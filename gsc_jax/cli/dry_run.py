@@ -15,10 +15,6 @@ from gsc_jax.scene import InputError
 def dry_run(options: Locate, *, monitor: Monitor) -> tuple[list[str], list[str]]:
     """Describe a run of `locate` without writing anything to its folder.
 
-    Args:
-        options: Arguments of the command line.
-        monitor: Receives progress.
-
     Returns:
         Lines to print, and the warnings about the input.
 

@@ -37,9 +37,6 @@ Masks = dict[str, np.ndarray]
 def run_evaluate(options: Evaluate) -> tuple[list[str], list[str]]:
     """Compare results with the truth and write the scores.
 
-    Args:
-        options: Arguments of the command line.
-
     Returns:
         Lines to print, and warnings.
 
@@ -214,7 +211,9 @@ def _view_table(views: Mapping[str, Any]) -> list[str]:
     means = {f"mean of {len(found['per_view'])}": found}
     if detector:
         judged = f"on {len(detector['per_view'])} + {len(detector['per_authentic_view'])} judged"
-        means |= {f"found {judged}": views["found_where_judged"], f"2D masks {judged}": detector}
+        if views["found_where_judged"] != found:
+            means[f"found {judged}"] = views["found_where_judged"]
+        means[f"2D masks {judged}"] = detector
     lines = [_row("by view", [*MEASURES.values(), "authentic"])]
     for name, scores in {**found["per_view"], **means}.items():
         area = scores.get("false_positive_area")

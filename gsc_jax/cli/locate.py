@@ -54,10 +54,6 @@ class Inputs:
 def read_inputs(options: Locate, *, monitor: Monitor) -> Inputs:
     """Read and check everything that a run of `locate` is given.
 
-    Args:
-        options: Arguments of the command line.
-        monitor: Receives progress.
-
     Raises:
         InputError: if an input is invalid, or the folder of results would overwrite one.
     """

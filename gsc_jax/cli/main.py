@@ -138,7 +138,7 @@ def _run(command: Command) -> None:
     raised: list[warnings.WarningMessage] = []
     try:
         with warnings.catch_warnings(record=True) as raised, Bars() as bars:
-            lines, own = _answer(command, Monitor(bars))
+            lines, own = _answer(command, Monitor(progress=bars))
         print(*lines, sep="\n", flush=True)
     finally:
         found = list(dict.fromkeys([*own, *_sentences(raised)]))

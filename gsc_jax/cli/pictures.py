@@ -1,8 +1,4 @@
-"""Pictures for people: masks drawn into the render, and sheets of views side by side.
-
-The mark must show on any background and to any eye: a tint between red and magenta, whose outline
-is light with dark on either side of it.
-"""
+"""Pictures for people: masks drawn into renders, and tables of pictures."""
 
 import warnings
 from collections.abc import Sequence
@@ -15,40 +11,42 @@ from gsc_jax.io.masks import image_path
 
 TINT = np.array([1.0, 0.0, 0.4], np.float32)
 TINT_STRENGTH = 0.45
-LIGHT, DARK = np.array([1.0, 0.95, 0.2], np.float32), np.zeros(3, np.float32)
+OUTLINE = np.array([1.0, 0.95, 0.2], np.float32)
+"""Outline beside a dark halo and a tint between red and magenta: visible on any background."""
 CELL_INCHES, CELL_DPI = 3.2, 110
-QUALITY = 90
-"""Of a JPEG that is looked at closely; colours are kept at full size, for outlines."""
+JPEG_QUALITY = 90
 
 
 def overlay(rgb: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Draws a mask into a picture, tinted and outlined.
+    """Tint and outline a mask in a picture.
 
     Args:
         rgb: The picture in [0, 1], shape (H, W, 3).
-        mask: What to mark, shape (H, W) bool.
+        mask: Pixels to mark, shape (H, W) bool.
 
     Returns:
-        A new picture, shape (H, W, 3) float32; where nothing is marked, the same colours.
+        A new picture, shape (H, W, 3) float32, unchanged away from the mask.
     """
+    from scipy.ndimage import binary_dilation
+
     rgb, mask = np.asarray(rgb, np.float32), np.asarray(mask, bool)
     tinted = (1 - TINT_STRENGTH) * rgb + TINT_STRENGTH * TINT
     picture = np.where(mask[..., None], tinted, rgb)
-    width = max(1, round(min(mask.shape) / 240))
-    outline = _grow(mask, width) & ~mask
-    halo = _grow(outline, width) & ~outline
-    picture[halo] = 0.4 * picture[halo] + 0.6 * DARK
-    picture[outline] = LIGHT
+    width = max(1, round(min(mask.shape) / 240))  # 2 pixels in a render of 640x480
+    outline = np.asarray(binary_dilation(mask, iterations=width)) & ~mask
+    halo = np.asarray(binary_dilation(outline, iterations=width)) & ~outline
+    picture[halo] *= 0.4
+    picture[outline] = OUTLINE
     return picture
 
 
 def jpeg_path(folder: str | Path, name: str) -> Path:
-    """Where the picture of a camera goes that is only looked at: `image_path`, but .jpg."""
+    """File of the JPEG of a camera: `image_path` with the suffix .jpg."""
     return image_path(folder, name).with_suffix(".jpg")
 
 
 def write_jpeg(path: str | Path, rgb: np.ndarray) -> None:
-    """Writes a picture that is only looked at, with the folders that its path names.
+    """Write a picture and the folders of its path.
 
     Args:
         path: The .jpg to write or to replace.
@@ -62,7 +60,8 @@ def write_jpeg(path: str | Path, rgb: np.ndarray) -> None:
 
     picture = Image.fromarray(img_as_ubyte(np.clip(np.asarray(rgb, np.float32), 0, 1)))
     with atomic(path) as temporary:
-        picture.save(temporary, quality=QUALITY, subsampling=0)
+        # Without colour subsampling, which blurs outlines.
+        picture.save(temporary, quality=JPEG_QUALITY, subsampling=0)
 
 
 def contact_sheet(
@@ -72,7 +71,7 @@ def contact_sheet(
     titles: Sequence[str],
     labels: Sequence[str],
 ) -> None:
-    """Writes pictures as a table.
+    """Write pictures as a table.
 
     Args:
         path: The .png to write or to replace.
@@ -97,12 +96,6 @@ def contact_sheet(
     for axes, title in zip(table[0], titles, strict=True):
         axes.set_title(title, fontsize=10)
     with atomic(path) as temporary, warnings.catch_warnings():
-        # A camera may be called anything; what the font lacks is drawn as a box.
+        # Names of cameras may contain characters that the font lacks, drawn as boxes.
         warnings.filterwarnings("ignore", "Glyph .* missing from font", UserWarning)
         figure.savefig(temporary)
-
-
-def _grow(mask: np.ndarray, pixels: int) -> np.ndarray:
-    from scipy.ndimage import binary_dilation
-
-    return np.asarray(binary_dilation(mask, iterations=pixels))

@@ -16,10 +16,6 @@ from gsc_jax.splat import render
 def run_render(options: Render, *, monitor: Monitor) -> tuple[list[str], list[str]]:
     """Render a scene file from its cameras, one image per camera.
 
-    Args:
-        options: Arguments of the command line.
-        monitor: Receives progress.
-
     Returns:
         Lines to print, and warnings.
 

@@ -13,7 +13,6 @@ import numpy as np
 import pydantic
 
 from gsc_jax.io.cameras import load_cameras
-from gsc_jax.io.masks import image_path
 from gsc_jax.io.ply import read_ply
 from gsc_jax.io.validation import one_line
 from gsc_jax.scene import Camera, Gaussians, InputError
@@ -49,10 +48,6 @@ class Results:
     def threshold(self) -> float:
         """Score above which a Gaussian was labelled as tampered."""
         return float(self.report["config"]["threshold"])
-
-    def mask_path(self, name: str) -> Path:
-        """File of the final mask of a camera."""
-        return image_path(self.folder / "masks", name)
 
 
 class _Config(pydantic.BaseModel):

@@ -41,10 +41,6 @@ OVERVIEW_ROWS = 4
 def run_tamper(options: Tamper, *, monitor: Monitor) -> tuple[list[str], list[str]]:
     """Edit a scene file and write the result with its truth.
 
-    Args:
-        options: Arguments of the command line.
-        monitor: Receives progress.
-
     Returns:
         Lines to print, and warnings.
 
@@ -75,9 +71,6 @@ def run_tamper(options: Tamper, *, monitor: Monitor) -> tuple[list[str], list[st
                 seed=options.seed,
             )
         monitor.progress("edit", 1, 1)
-        if edited.labels.mean() > 0.5:
-            share = f"{edited.labels.mean():.0%}"
-            warnings.append(f"{share} of the Gaussians are tampered; the scene is too small")
         _write(folder, options, edited, cameras, monitor)
         _write_overview(folder / "overview.png", scene.gaussians, edited, cameras, options.near)
         _write_description(folder, options, edited, cameras)
@@ -222,7 +215,7 @@ def _lines(options: Tamper, edited: Tampered) -> list[str]:
         edited.description,
         f"{int(edited.labels.sum()):,} of {len(edited.labels):,} Gaussians are tampered: "
         f"{out / 'labels.npy'}, by view {out / 'truth'}",
-        f"look at  {out / 'overview.png'}",
+        f"images   {out / 'overview.png'}",
     ]
     if options.masks == "none":
         return lines

@@ -20,8 +20,8 @@ from gsc_jax.detectors.session import single_line
 from gsc_jax.evidence.detector import Detector
 from gsc_jax.scene import Camera
 
-SIZE_LIMIT_BYTES = 2 * 2**30
-"""Some 500 maps of a megapixel."""
+MAX_BYTES = 2 * 2**30
+"""About 500 uncompressed maps of a megapixel, 4 MiB each."""
 
 
 class CachedDetector:
@@ -34,12 +34,7 @@ class CachedDetector:
     """
 
     def __init__(
-        self,
-        detector: Detector,
-        folder: str | Path,
-        key: str,
-        *,
-        size_limit: int = SIZE_LIMIT_BYTES,
+        self, detector: Detector, folder: str | Path, key: str, *, max_bytes: int = MAX_BYTES
     ):
         """Configure the cache; the folder is created when it is first used.
 
@@ -47,13 +42,13 @@ class CachedDetector:
             detector: The detector to cache.
             folder: A folder for the cache alone.
             key: Identifies the detector with all its options, such as `OnnxDetector.fingerprint`.
-            size_limit: Bytes above which the least recently used outputs are removed.
+            max_bytes: Size above which the least recently used outputs are removed.
         """
         self.detector = detector
         self.folder = Path(folder)
         self.needs_image = detector.needs_image
         self._key = key
-        self._size_limit = size_limit
+        self._max_bytes = max_bytes
         self._failures: list[str] = []
 
     def select(self, cameras: Sequence[Camera]) -> list[Camera]:
@@ -89,14 +84,14 @@ class CachedDetector:
         return (
             *found,
             f"{self.folder}: the cache failed {len(self._failures)} times "
-            f"({self._failures[0]}), so the detector ran again; delete this folder",
+            f"({self._failures[0]}), so the detector ran again; if this repeats, delete the folder",
         )
 
     def _open(self) -> diskcache.Cache:
         return diskcache.Cache(
             str(self.folder),
             disk=_WithoutPickles,
-            size_limit=self._size_limit,
+            size_limit=self._max_bytes,
             eviction_policy="least-recently-used",
         )
 

@@ -12,6 +12,7 @@ The most exact match counts, and a file belongs to the camera that it matches mo
 equally exact matches are an error. Names are case-sensitive, suffixes are not.
 """
 
+import contextlib
 import functools
 from collections import defaultdict
 from collections.abc import Sequence
@@ -61,11 +62,10 @@ class FolderDetector:
             return [camera for camera in cameras if camera.name in matched]
         if not cameras:
             raise InputError(f"{self.path}: there are no cameras to find masks for")
-        name = cameras[0].name
         raise InputError(
-            f"{self.path}: none of its {len(self._files)} images is named after one of the "
-            f"{len(cameras)} cameras; the first camera is {name!r}, the first image "
-            f"{self._files[0]!r}: name the mask of that camera {name + '.png'!r}"
+            f"{self.path}: none of its {len(self._files)} images, such as {self._files[0]!r}, is "
+            f"named after one of the {len(cameras)} cameras; name the mask of camera "
+            f"{cameras[0].name!r} {cameras[0].name + '.png'!r}"
         )
 
     def __call__(self, image: np.ndarray | None, camera: Camera) -> np.ndarray:  # noqa: ARG002
@@ -91,7 +91,9 @@ class FolderDetector:
         """
         largest = 0
         for file in self._files:
-            largest = max(largest, _largest_level(self.path / file))
+            with contextlib.suppress(InputError):  # `__call__` reports it
+                grey = masks.read_grey(self.path / file)
+                largest = max(largest, int(grey.max()) if grey.dtype == np.uint8 else 0)
             if largest > 1:
                 break
         return largest == 1
@@ -158,15 +160,6 @@ def _image_files(folder: Path) -> list[str]:
             f"({', '.join(masks.IMAGE_SUFFIXES)})"
         )
     return images
-
-
-def _largest_level(path: Path) -> int:
-    """Largest level of an 8-bit mask, 0 for other files."""
-    try:
-        grey = masks.read_grey(path)
-    except InputError:  # `__call__` reports it
-        return 0
-    return int(grey.max()) if grey.dtype == np.uint8 else 0
 
 
 def _without_suffixes(name: str) -> str:

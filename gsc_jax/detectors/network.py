@@ -69,12 +69,22 @@ class Network:
         """
         self.path = path
         self._session = open_session(path, providers=providers, threads=threads)
-        self._input_specs, self._output_specs = tuple(inputs), tuple(outputs.values())
         self.providers = self._session.get_providers()
         self.inputs = self._session.get_inputs()
         self.outputs = [self._find_output(key) for key in outputs]
         self.sides: dict[str, int] = {}
-        self._check_declarations()
+        if len(self.inputs) != len(inputs):
+            found = ", ".join(tensor.name for tensor in self.inputs)
+            expected = ", ".join(spec.role for spec in inputs)
+            raise InputError(
+                f"{path}: has {len(self.inputs)} inputs ({found}), expected {len(inputs)} "
+                f"({expected}); export it with these, in this order"
+            )
+        self._tensors = (*self.inputs, *self.outputs)
+        self._specs = (*inputs, *outputs.values())
+        for tensor, spec in zip(self._tensors, self._specs, strict=True):
+            # onnxruntime returns an empty shape if the model declares none.
+            self._check(tensor, tensor.shape or spec.shape or (), spec, self.sides)
 
     def run(self, *arrays: np.ndarray, view: str) -> list[np.ndarray]:
         """Compute the outputs, float32.
@@ -98,12 +108,8 @@ class Network:
             ) from error
         outputs = [np.asarray(array, np.float32) for array in found]
         sides = dict(self.sides)
-        for tensor, spec, array in zip(
-            (*self.inputs, *self.outputs),
-            (*self._input_specs, *self._output_specs),
-            (*arrays, *outputs),
-            strict=True,
-        ):
+        checked = zip(self._tensors, (*arrays, *outputs), self._specs, strict=True)
+        for tensor, array, spec in checked:
             self._check(tensor, array.shape, spec, sides)
         return outputs
 
@@ -116,25 +122,11 @@ class Network:
         names = ", ".join(tensor.name for tensor in outputs)
         raise InputError(f"{self.path}: has no output {key!r}, expected one of {names}")
 
-    def _check_declarations(self) -> None:
-        """Compare the declared types and shapes with the expected ones."""
-        if len(self.inputs) != len(self._input_specs):
-            found = ", ".join(tensor.name for tensor in self.inputs)
-            expected = ", ".join(spec.role for spec in self._input_specs)
-            raise InputError(
-                f"{self.path}: has {len(self.inputs)} inputs ({found}), expected "
-                f"{len(self._input_specs)} ({expected}); export it with these, in this order"
-            )
-        specs = (*self._input_specs, *self._output_specs)
-        for tensor, spec in zip((*self.inputs, *self.outputs), specs, strict=True):
-            # onnxruntime returns an empty shape if the model declares none.
-            self._check(tensor, tensor.shape or spec.shape or (), spec, self.sides)
-
     def _check(self, tensor, shape: Shape, spec: TensorSpec, sides: dict[str, int]) -> None:
         """Compare a tensor with its spec, and add the lengths of its named sides to `sides`."""
         number = tensor.type.startswith("tensor(") and tensor.type != "tensor(string)"
         type_fits = number if spec.types is None else tensor.type in spec.types
-        if type_fits and (spec.shape is None or _bind(shape, spec.shape, sides)):
+        if type_fits and (spec.shape is None or fits(shape, spec.shape, sides)):
             return
         types = " or ".join(FLOATS if spec.types is None else spec.types)
         expected = "" if spec.shape is None else f" of shape {shape_text(spec.shape, sides)}"
@@ -144,8 +136,15 @@ class Network:
         )
 
 
-def _bind(shape: Shape, expected: Shape, sides: dict[str, int]) -> bool:
-    """Whether a shape fits the expected one; adds the lengths of its named sides."""
+def fits(shape: Shape, expected: Shape, sides: dict[str, int] | None = None) -> bool:
+    """Whether a shape, of which sides can be free, can be the expected one.
+
+    Args:
+        shape: Free sides are names or None.
+        expected: Its names stand for the lengths in `sides`, None for any length.
+        sides: Lengths of named sides, to which those of the shape are added.
+    """
+    sides = {} if sides is None else sides
     for found, side in zip(shape, expected, strict=False):
         wanted = sides.get(side) if isinstance(side, str) else side
         if isinstance(found, int) and wanted not in (None, found):
@@ -153,14 +152,6 @@ def _bind(shape: Shape, expected: Shape, sides: dict[str, int]) -> bool:
         if isinstance(found, int) and isinstance(side, str):
             sides[side] = found
     return len(shape) == len(expected)
-
-
-def compatible(shape: Shape, other: Shape) -> bool:
-    """Whether two shapes can be equal; a side that is not a number equals any length."""
-    return len(shape) == len(other) and all(
-        one == two or not (isinstance(one, int) and isinstance(two, int))
-        for one, two in zip(shape, other, strict=True)
-    )
 
 
 def shape_text(shape: Shape, sides: Mapping[str, int] | None = None) -> str:

@@ -5,6 +5,7 @@ in the map. Outputs that are not finite become 0.5 and so are not flagged; `warn
 """
 
 import functools
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import ClassVar
@@ -13,7 +14,7 @@ import numpy as np
 from scipy.special import expit, softmax
 
 from gsc_jax.detectors.fingerprint import fingerprint
-from gsc_jax.detectors.network import Network, Shape, TensorSpec, compatible, shape_text
+from gsc_jax.detectors.network import Network, Shape, TensorSpec, fits, shape_text
 from gsc_jax.detectors.network_detector import NetworkDetector
 from gsc_jax.detectors.preprocessing import Size, crop_map, fit_image, remap_threshold, to_tensor
 from gsc_jax.detectors.session import CPU
@@ -121,7 +122,7 @@ class OnnxDetector(NetworkDetector):
     def _check_map(self, shape: Shape) -> None:
         """Require a shape, with possibly free sides, of one map with the channel of the spec."""
         found = f"{self.path}: output {self._output.name!r} has shape {shape_text(shape)}"
-        if len(shape) not in (2, 3, 4) or (len(shape) == 4 and not compatible(shape[:1], (1,))):
+        if len(shape) not in (2, 3, 4) or (len(shape) == 4 and not fits(shape[:1], (1,))):
             raise InputError(f"{found}, expected one map: [1, channels, height, width]")
         count = 1 if len(shape) == 2 else shape[self._channel_axis(len(shape))]
         channel = self.spec.channel
@@ -142,14 +143,11 @@ class OnnxDetector(NetworkDetector):
     def _target(self, height: int, width: int) -> Size:
         """Input size of the network for an image of this size."""
         multiple = self.spec.multiple_of
-
-        def round_up_or_nearest(side: int) -> int:
-            if self.spec.fit == "pad":
-                return -(-side // multiple) * multiple
-            return max(1, round(side / multiple)) * multiple
-
-        rows = self._size[0] or round_up_or_nearest(height)
-        columns = self._size[1] or round_up_or_nearest(width)
+        rounding = math.ceil if self.spec.fit == "pad" else round
+        rows, columns = (
+            fixed or max(1, rounding(side / multiple)) * multiple
+            for fixed, side in zip(self._size, (height, width), strict=True)
+        )
         if self.spec.fit == "none" and (rows, columns) != (height, width):
             raise InputError(
                 f"{self.path}: input {self._network.inputs[0].name!r} takes images of "

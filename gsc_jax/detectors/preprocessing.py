@@ -35,7 +35,7 @@ def to_tensor(image: np.ndarray, spec: OnnxSpec) -> np.ndarray:
         spec: Channel order, layout and statistics of the network.
 
     Returns:
-        `(scale * image - mean) / std`, shape (1, 3, H, W) or (1, H, W, 3) float32.
+        Shape (1, 3, H, W) or (1, H, W, 3) float32.
     """
     colours = np.float32(spec.scale) * (image[..., ::-1] if spec.channels == "bgr" else image)
     tensor = (colours - np.array(spec.mean, np.float32)) / np.array(spec.std, np.float32)

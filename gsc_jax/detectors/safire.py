@@ -18,7 +18,7 @@ from typing import ClassVar
 import numpy as np
 
 from gsc_jax.detectors.fingerprint import fingerprint
-from gsc_jax.detectors.network import NUMBERS, Network, TensorSpec, compatible, shape_text
+from gsc_jax.detectors.network import NUMBERS, Network, TensorSpec, fits, shape_text
 from gsc_jax.detectors.network_detector import NetworkDetector
 from gsc_jax.detectors.preprocessing import fit_image, to_tensor
 from gsc_jax.detectors.safire_regions import MIN_CONFIDENCE, forged_region, point_grid
@@ -93,7 +93,7 @@ class SafireDetector(NetworkDetector):
         inputs = [EMBEDDINGS, POINT_COORDS, POINT_LABELS]
         self._decoder = Network(self.decoder, inputs, {0: MASKS, 1: CONFIDENCES}, **run)
         given, taken = self._encoder.outputs[0].shape, self._decoder.inputs[0].shape
-        if given and not compatible(given, taken):
+        if given and not fits(taken, given):
             raise InputError(
                 f"{self.decoder}: takes embeddings of shape {shape_text(taken)}, the encoder gives "
                 f"{shape_text(given)}; export both from one network"

@@ -1,14 +1,12 @@
 """Forged region of an image from point-prompted masks, as in the test code of SAFIRE.
 
-SAFIRE (Kwon et al., AAAI 2025), binary localisation: the feature of a mask is the mean embedding
-inside it. Spherical k-means (cosine distance, k = 2) partitions the masks. The most confident mask
-represents each group, the smaller of the two is the forged region, and the probability is the mean
-of its mask and of the complement of the other.
+The feature of a mask is the mean embedding inside it. Spherical k-means (cosine distance, k = 2)
+partitions the masks. The most confident mask represents each group, the smaller of the two is the
+forged region, and the probability is the mean of its mask and of the complement of the other.
 
 Differences, where the test code is unspecified or returns NaN:
 
-- Embeddings are weighted by the covered share of a cell. The test code samples cells, and a mask
-  that contains no sample has an undefined feature.
+- Embeddings are weighted by the covered share of a cell, since a mask can miss all sampled cells.
 - Empty masks and predictions that are not finite are ignored and counted.
 - k-means takes the best of several seeded starts. If a second group does not reduce the distance,
   the image has one source, and nothing is flagged.
@@ -94,8 +92,7 @@ def mask_directions(logits: np.ndarray, embeddings: np.ndarray) -> np.ndarray:
         embeddings: Shape (C, H, W); H divides h, W divides w.
 
     Returns:
-        Unit vectors, shape (P, C) float64; NaN for a mask that is empty or contains NaN, and for a
-        mean that is zero or not finite.
+        Unit vectors, shape (P, C) float64; NaN for an empty mask, and for NaN in mask or mean.
     """
     count, height, width = logits.shape
     channels, rows, columns = embeddings.shape

@@ -36,23 +36,23 @@ class OnnxSpec:
     An invalid value raises `pydantic.ValidationError`, which is a ValueError.
 
     Attributes:
-        size: Input height and width, or one number for both. None takes the size that the model
-            fixes, or the size of the image if the model accepts any.
-        fit: "resize" changes the image to the size without keeping its aspect ratio. "pad" shrinks
-            a larger image and adds black at the bottom and the right, before the normalisation;
-            the padding is cropped from the map. "none" passes the image unchanged.
-        multiple_of: If the size is free, make it a multiple of this: the nearest one for "resize",
-            the next larger one for "pad".
-        channels: Order of the input channels.
+        size: Input height and width, or one number for both; None for the size that the model
+            fixes, or that of the image.
+        fit: "resize" does not keep the aspect ratio. "pad" shrinks a larger image and adds black at
+            the bottom and the right, before the normalisation; the map is cropped. "none" passes
+            the image unchanged.
+        multiple_of: Divisor of a free size, which is rounded to the nearest ("resize") or next
+            larger ("pad") multiple.
+        channels: Order of the input channels, and of `mean` and `std`.
         layout: Layout of input and output.
         scale: Factor of the image, whose values are in [0, 1].
-        mean: Offset of each channel, in the order of `channels`.
-        std: Divisor of each channel, in the order of `channels`.
-        input: Expected name of the only input; None accepts any name.
+        mean: Offset of each channel.
+        std: Divisor of each channel.
+        input: Expected name of the only input; None for any.
         output: Name or position of the output that holds the map.
         activation: Function to apply to the output; "softmax" is over the channels.
         channel: Output channel of the tampered class; None if there is only one channel.
-        threshold: Decision threshold of the network; the map is remapped so that it becomes 0.5.
+        threshold: Decision threshold of the network; becomes 0.5 in the map.
     """
 
     size: Annotated[Size, pydantic.AfterValidator(_height_and_width)] = None

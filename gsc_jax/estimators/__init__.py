@@ -95,8 +95,8 @@ def sweep(observation: Observation, estimators: Iterable[Estimator]) -> Iterator
         observation: Evidence and votes, from `observe`.
         estimators: Estimators, e.g. one method under many configurations.
 
-    Yields:
-        A finding per estimator, in their order.
+    Returns:
+        Iterator over the findings, in the order of the estimators.
     """
     with ThreadPoolExecutor(WORKERS) as pool:
         yield from bounded_map(pool, lambda estimator: estimator.estimate(observation), estimators)

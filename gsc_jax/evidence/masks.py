@@ -6,7 +6,7 @@ views without the object; that rule is available as `per-view` for comparison.
 """
 
 import dataclasses
-from typing import Literal
+from typing import Literal, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +20,28 @@ from gsc_jax.splat import composite_with_alpha
 MaskRule = Literal["share", "attribute", "per-view"]
 MIN_COVERAGE = 0.1
 """Least alpha of a pixel in a mask: the truth in shared test data and experiments uses it, too."""
+
+
+class Scored(Protocol):
+    """Anything with scores and labels of N Gaussians."""
+
+    @property
+    def tamper(self) -> np.ndarray:
+        """Scores in [0, 1], shape (N,)."""
+        ...
+
+    @property
+    def labels(self) -> np.ndarray:
+        """Labelled Gaussians, shape (N,) bool."""
+        ...
+
+
+@dataclasses.dataclass(frozen=True)
+class Labelled:
+    """Scores and labels as arrays, for `view_mask`."""
+
+    tamper: np.ndarray
+    labels: np.ndarray
 
 
 def normalise(attribute: Array) -> jax.Array:
@@ -39,8 +61,7 @@ def normalise(attribute: Array) -> jax.Array:
 def view_mask(
     gaussians: Gaussians,
     camera: Camera,
-    tamper: Array,
-    labels: Array,
+    scored: Scored,
     *,
     rule: MaskRule = "attribute",
     threshold: float = 0.1,
@@ -51,8 +72,7 @@ def view_mask(
     Args:
         gaussians: N Gaussians.
         camera: The view.
-        tamper: Scores in [0, 1], shape (N,).
-        labels: Tampered Gaussians, boolean, shape (N,).
+        scored: Scores `tamper` and `labels` of the Gaussians, shapes (N,): a finding or a result.
         rule: `attribute`: the rendered score, relative to alpha, exceeds the threshold. `share`:
             labelled Gaussians contribute more than half of a pixel's weight. `per-view`, the rule
             of the released code: the score rendered from labelled Gaussians only, relative to its
@@ -64,8 +84,8 @@ def view_mask(
         Boolean, shape (H, W); false where the scene is transparent.
     """
     if rule == "per-view":
-        return _per_view_mask(gaussians, camera, tamper, labels, threshold=threshold, near=near)
-    feature, level = (labels, 0.5) if rule == "share" else (tamper, threshold)
+        return _per_view_mask(gaussians, camera, scored, threshold=threshold, near=near)
+    feature, level = (scored.labels, 0.5) if rule == "share" else (scored.tamper, threshold)
     return rendered_share(gaussians, camera, feature, near=near) > level
 
 
@@ -92,10 +112,10 @@ def rendered_share(
 
 
 def _per_view_mask(
-    gaussians: Gaussians, camera: Camera, tamper: Array, labels: Array, *, threshold, near
+    gaussians: Gaussians, camera: Camera, scored: Scored, *, threshold: float, near: float
 ) -> np.ndarray:
     # Removing the other Gaussians would change N and recompile everything for every result.
-    logits = jnp.where(jnp.asarray(labels), gaussians.logit_opacities, -jnp.inf)
+    logits = jnp.where(jnp.asarray(scored.labels), gaussians.logit_opacities, -jnp.inf)
     view = make_view(dataclasses.replace(gaussians, logit_opacities=logits), camera, near=near)
-    image = composite_with_alpha(view, jnp.asarray(tamper)[:, None])[0][..., 0]
+    image = composite_with_alpha(view, jnp.asarray(scored.tamper)[:, None])[0][..., 0]
     return np.asarray((image > threshold * jnp.max(image)) & (image > 0))

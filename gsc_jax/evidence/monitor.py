@@ -20,7 +20,7 @@ class Monitor:
         progress: Called with (stage, done, total); None ignores progress.
     """
 
-    def __init__(self, progress: Progress | None = None) -> None:
+    def __init__(self, *, progress: Progress | None = None) -> None:
         self.seconds: dict[str, float] = {}
         self.peak_mib: dict[str, float] = {}
         self._progress = progress

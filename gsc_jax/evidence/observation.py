@@ -6,6 +6,7 @@ start from it.
 """
 
 import dataclasses
+import functools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -73,8 +74,7 @@ def observe(
         evidence = blank_evidence(len(cameras), len(gaussians))
     masks, probabilities = {}, {}
 
-    def prepare(camera: Camera) -> tuple[View, np.ndarray | None]:
-        return _prepare(gaussians, camera, detector.needs_image, near, monitor)
+    prepare = functools.partial(_prepare, gaussians, detector.needs_image, near, monitor)
 
     def detect() -> Iterator[tuple[int, View]]:
         # The detector runs in this thread only, since a user's function need not be thread-safe.
@@ -112,7 +112,7 @@ def observe(
 
 
 def _prepare(
-    gaussians: Gaussians, camera: Camera, needs_image: bool, near: float, monitor: Monitor
+    gaussians: Gaussians, needs_image: bool, near: float, monitor: Monitor, camera: Camera
 ) -> tuple[View, np.ndarray | None]:
     """Project and bin a view, and render it if the detector needs the image (H, W, 3)."""
     with monitor.stage("project"):

@@ -1,8 +1,7 @@
 """Calibration: log odds of Gaussians and scenes, and the log odds above which they are labelled.
 
-Calibrated probabilities of Gaussians are mostly small, since many scenes are misclassified. Given
-that a scene was edited, the tampered Gaussians are those that stand out, so the level of labelling
-is chosen per scene.
+Calibrated probabilities are mostly small, since many scenes are misclassified. Given that a scene
+was edited, the tampered Gaussians are those that stand out, so the level is chosen per scene.
 """
 
 import dataclasses
@@ -117,14 +116,9 @@ def label_level(scene: Classification, traces: Sequence[Trace] = ()) -> float:
 
 
 def stable_level(log_odds: np.ndarray, base: float, span: float) -> float:
-    """Level at which the number of Gaussians above it changes least, in relative terms.
+    """Level from base to base + span at which the number of log odds (N,) above changes least.
 
-    As in maximally stable extremal regions (Matas et al., 2002), for the whole scene at once.
-
-    Args:
-        log_odds: Log odds of N Gaussians, shape (N,).
-        base: Lowest level.
-        span: Length of the range of levels, of which `GAP_RANGE` is searched.
+    The change is relative, as in maximally stable extremal regions (Matas et al., 2002).
     """
     levels, ordered = base + span * np.linspace(*GAP_RANGE, 46), np.sort(log_odds)
 

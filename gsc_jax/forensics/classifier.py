@@ -32,7 +32,7 @@ class Classifier:
     """An ensemble of networks with its calibration.
 
     Attributes:
-        networks: Members of the ensemble; the mean of their outputs is the raw log odds.
+        networks: Networks whose mean output is the raw log odds.
         names: Names of the features, in the order of the inputs.
         calibration: Factor and shift from smoothed raw log odds to log odds of a Gaussian.
         base: Log odds that a Gaussian of an edited scene is tampered, without any evidence.

@@ -21,19 +21,16 @@ SAMPLE = 12_000
 """Gaussians searched first; around those that pass, all are searched."""
 MIN_MOVED_SHARE = 0.15
 """Share of neighbours with duplicates in the same place; 0.08 in 1 of 1000 authentic scenes."""
-MIN_MOVE = 0.5
-"""Duplicates closer than this, in distances to the last neighbour, are texture of a surface."""
-MAX_SPREAD = 3.0
-"""Distance between duplicates of neighbours, in distances to the last neighbour."""
+MIN_MOVE, MAX_SPREAD = 0.5, 3.0
+"""Distance to a duplicate and between those of neighbours, in distances to the last neighbour;
+closer duplicates are texture of a surface."""
 
 
 def copy_move(gaussians: Gaussians, neighbours: np.ndarray) -> Trace:
     """Detect regions whose Gaussians occur again elsewhere, moved in the same way.
 
-    Duplicates are searched by all attributes but the position, and with a smaller radius by those
-    that a similarity transform keeps. Nearly all Gaussians of a filled hole have duplicates, but
-    only a part of the region they were copied from; of an object that was copied as a whole, both
-    copies are marked.
+    Nearly all Gaussians of a filled hole have duplicates, but only a part of the region they were
+    copied from; of an object that was copied as a whole, both copies are marked.
     """
     marked = np.zeros(len(gaussians), bool)
     if len(gaussians) > 2 * NEIGHBOURS:

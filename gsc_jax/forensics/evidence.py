@@ -35,7 +35,7 @@ TRACES: tuple[Callable[[Gaussians, np.ndarray], Trace], ...] = (
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ForensicEvidence(Prior):
-    """Evidence from the attributes of N Gaussians; see `Prior` for the other attributes.
+    """Evidence from the attributes of N Gaussians, with these attributes besides those of `Prior`.
 
     Attributes:
         log_odds: Calibrated log odds that a Gaussian is tampered, by classifier and traces, shape
@@ -145,8 +145,7 @@ def estimate_from_attributes(
         min_verdict: Scene probability below which nothing is labelled.
 
     Returns:
-        Scores, labels and warnings. The attribute is the log odds relative to the level of
-        labelling, and 0 where nothing is known.
+        The finding. Its attribute is the log odds above `level`, and 0 where nothing is known.
     """
     believed = evidence.verdict >= min_verdict
     labels = (evidence.probability > threshold) & believed
@@ -165,9 +164,6 @@ def _warnings(evidence: ForensicEvidence, labels: np.ndarray) -> list[str]:
         return ["There are too few valid Gaussians for forensic features; none is scored."]
     if not labels.any():
         return ["The attributes of the Gaussians show no evidence of an edit."]
-    if evidence.verdict < 0.5:
-        return [
-            "The labels mark what stands out most, which something does in authentic scenes, too: "
-            "the scene may be authentic."
-        ]
-    return []
+    if evidence.verdict >= 0.5:
+        return []
+    return ["The labels mark what stands out most, but the scene is probably authentic."]

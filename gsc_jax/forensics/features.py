@@ -82,11 +82,9 @@ def standardise(values: np.ndarray) -> np.ndarray:
 
 def _table(groups: dict[str, np.ndarray]) -> np.ndarray:
     """All groups in one table, shape (N, D); removes them from the dictionary to free memory."""
-    columns = []
-    for name in list(groups):
-        values = groups.pop(name)
-        columns.append(values if name == "copies" else standardise(values))
-    return np.concatenate(columns, axis=1, dtype=np.float32)
+    copies = groups.pop("copies")
+    columns = [standardise(groups.pop(name)) for name in list(groups)]
+    return np.concatenate([*columns, copies], axis=1, dtype=np.float32)
 
 
 def _with_surroundings(own: np.ndarray, around: Neighbourhoods) -> np.ndarray:
@@ -140,10 +138,7 @@ def _colour_groups(sh: np.ndarray, around: Neighbourhoods) -> dict[str, np.ndarr
 
 
 def _shading(lightness: np.ndarray, chroma: np.ndarray, around: Neighbourhoods) -> np.ndarray:
-    """Chroma at lightness 0 by a linear fit over two steps of neighbours, and its norm, (N, 3).
-
-    It is 0 for shades of one material, which are multiples of one colour, unless it was edited.
-    """
+    """Chroma extrapolated to lightness 0, where shades of one material have none, (N, 3)."""
     products = chroma * lightness[:, None]
     values = np.column_stack([lightness, lightness * lightness, chroma, products])
     first, second, c1, c2, c1l, c2l = (around.mean @ (around.mean @ values)).T
@@ -157,10 +152,8 @@ def _harmonics(rest: np.ndarray) -> np.ndarray:
     if not rest.shape[1]:
         return np.zeros((len(rest), 3), np.float32)
     coloured = rest - rest.mean(axis=2, keepdims=True)
-    energy, hue, first = (
-        np.log(1e-3 + np.sqrt(np.mean(part * part, axis=(1, 2))))
-        for part in (rest, coloured, rest[:, :3])
-    )
+    parts = rest, coloured, rest[:, :3]
+    energy, hue, first = (np.log(1e-3 + np.sqrt(np.mean(p * p, axis=(1, 2)))) for p in parts)
     return np.column_stack([energy, hue - energy, first - energy])
 
 
@@ -199,13 +192,10 @@ def _lighting(sh: np.ndarray, normal: np.ndarray, around: Neighbourhoods) -> np.
     direction = np.column_stack([-x, -y, z])
     direction /= np.linalg.norm(direction, axis=1, keepdims=True) + 1e-6
     scene = direction.T @ direction / len(direction)
-    return np.column_stack(
-        [
-            np.einsum("ni,ni->n", around.mean @ direction, direction),
-            np.einsum("ni,ij,nj->n", direction, scene, direction),
-            np.abs(np.einsum("ni,ni->n", direction, normal)),
-        ]
-    )
+    nearby = np.einsum("ni,ni->n", around.mean @ direction, direction)
+    overall = np.einsum("ni,ij,nj->n", direction, scene, direction)
+    along_normal = np.abs(np.einsum("ni,ni->n", direction, normal))
+    return np.column_stack([nearby, overall, along_normal])
 
 
 def duplicate_closeness(gaussians: Gaussians) -> np.ndarray:

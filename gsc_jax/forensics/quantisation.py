@@ -14,16 +14,12 @@ from gsc_jax.scene import Gaussians
 MIN_REPEATS, MAX_FREE_REPEATS = 8, 2
 """Occurrences that make a value a level; median up to which a component is not quantised, since
 float32 values occur once or twice."""
-MIN_SHARED = 0.5
-"""Share of values on levels from which a component counts as quantised; the rest may be pasted."""
 MAX_LEVELS = 1024
 """More levels than this are too fine to distinguish interleaved sets from chance."""
 MAX_GAP_RATIO = 4.0
 """Gap between levels, in typical gaps nearby, above which the levels are in a sparse tail."""
 BIN = 8
 """Adjacent levels that neighbours of one origin would use interchangeably."""
-MAX_BLOCKS = 4
-"""Sets of levels searched besides the largest."""
 MIN_EIGENVALUE = 0.7
 """Correlation of the exact levels of neighbours, given their bins, above which there are two sets:
 at most 0.56 in authentic objects with one codebook, 0.77 to 0.98 in edits."""
@@ -49,8 +45,9 @@ def quantisation(gaussians: Gaussians, neighbours: np.ndarray) -> Trace:
     # A tile has its own levels in all groups; an edit changes one, or has values off all levels.
     tile = np.all([mark[:, 1].mean(axis=0) > 0.5 for mark in marks.values()], axis=0)
     score, names = np.zeros(len(gaussians), np.float32), []
-    for name, (off, other) in ((name, mark.swapaxes(0, 1)) for name, mark in marks.items()):
-        one = region_scores((off | other & ~tile).mean(axis=0) > 0.5, neighbours)
+    for name, mark in marks.items():
+        odd = mark[:, 0] | mark[:, 1] & ~tile
+        one = region_scores(odd.mean(axis=0) > 0.5, neighbours)
         score = 1 - (1 - score) * (1 - one)
         names += [name] * bool((one > 0.5).any())
     found = f"have {' and '.join(names)} off the values that the others share"
@@ -78,7 +75,7 @@ def off_levels(column: np.ndarray, neighbours: np.ndarray) -> tuple[np.ndarray, 
         return nothing, nothing
     if np.median(counts[codes]) <= MAX_FREE_REPEATS:
         return shared, nothing
-    if shared.mean() < MIN_SHARED:
+    if shared.mean() < 0.5:  # neither quantised, with some values pasted, nor free
         return nothing, nothing
     level = np.where(shared, np.cumsum(common)[codes] - 1, -1)
     between = _between_levels(values, common)[codes]
@@ -101,8 +98,7 @@ def _second_set(codes: np.ndarray, count: int, neighbours: np.ndarray) -> np.nda
     """Mask of values on a small set of levels that is interleaved with the others, shape (N,).
 
     Neighbours of one origin take any of the adjacent levels; with two interleaved sets, they keep
-    to one of them. A set is then an eigenvector, with an eigenvalue near 1, of how often neighbours
-    have each pair of levels less the expectation from the frequency of their pair of bins.
+    to one of them. A set is then an eigenvector of `_excess` with an eigenvalue near 1.
     """
     none = np.zeros(len(codes), bool)
     if count > MAX_LEVELS:
@@ -136,11 +132,7 @@ def _pair_counts(codes: np.ndarray, count: int, neighbours: np.ndarray) -> np.nd
 
 
 def _excess(pairs: np.ndarray, bins: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pair counts less those expected from the bins, shape (L, L), and degrees, shape (L,).
-
-    Divided by the square root of both degrees, so that eigenvalues are at most about 1: all
-    neighbours of a set are on that set.
-    """
+    """Pair counts less those expected from the bins, normalised, (L, L), and degrees, (L,)."""
     degrees = np.maximum(pairs.sum(axis=1), 1.0)
     member = np.arange(len(pairs)) // BIN
     binned = np.add.reduceat(np.add.reduceat(pairs, bins, axis=0), bins, axis=1)
@@ -150,11 +142,10 @@ def _excess(pairs: np.ndarray, bins: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 
 def _leading_vectors(excess: np.ndarray) -> np.ndarray:
-    """Eigenvectors with eigenvalues that indicate two sets, shape (L, at most `MAX_BLOCKS`)."""
+    """Eigenvectors of at most four eigenvalues that indicate further sets, shape (L, D)."""
     from scipy.linalg import eigh
 
-    vectors = eigh(excess, subset_by_value=(MIN_EIGENVALUE, np.inf))[1]
-    return vectors[:, -MAX_BLOCKS:]
+    return eigh(excess, subset_by_value=(MIN_EIGENVALUE, np.inf))[1][:, -4:]
 
 
 def _farthest_points(places: np.ndarray, weights: np.ndarray) -> np.ndarray:

@@ -11,10 +11,8 @@ from gsc_jax.forensics.traces import Trace, make_trace
 from gsc_jax.scene import Gaussians
 from gsc_jax.scene.statistics import median_and_mad
 
-PIECES = 256
-"""Number of pieces of a file."""
-MIN_PIECE_ROWS = 32
-"""Rows of a piece, at least."""
+PIECES, MIN_PIECE_ROWS = 256, 32
+"""Number of pieces of a file, fewer if they had less than this number of rows."""
 MAX_CORRELATION = 0.3
 """Correlation of adjacent pieces above which a file counts as sorted."""
 MIN_DEVIATION = 12.0

@@ -28,14 +28,14 @@ def read_json(path: Path) -> Any:
 def construct_cameras(
     items: list[Any], construct: Callable[[Any], Camera], *, place: str, name_key: str
 ) -> list[Camera]:
-    """Convert each item of a JSON list; raise errors of `construct` as InputError.
-
-    Messages begin with the place ("cameras.json: camera"), the index, and the name if there is one.
-    """
+    """Convert each item of a JSON list; raise errors as InputError of `place`, index and name."""
     cameras = []
     for index, item in enumerate(items):
-        name = item.get(name_key) if isinstance(item, dict) else None
-        where = f"{place} {index} ({name!r})" if isinstance(name, str) else f"{place} {index}"
+        where = f"{place} {index}"
+        if not isinstance(item, dict):
+            raise InputError(f"{where}: expected a JSON object, found {item!r}")
+        if isinstance(name := item.get(name_key), str):
+            where += f" ({name!r})"
         try:
             cameras.append(construct(item))
         except pydantic.ValidationError as error:

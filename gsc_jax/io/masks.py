@@ -20,7 +20,8 @@ IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp")
 """Suffixes of mask files, in lower case; upper case is accepted too."""
 
 GREY_TOLERANCE_LEVELS = 8
-"""Largest difference between the channels of a grey pixel: JPEG and WebP do not keep them equal."""
+"""Largest difference between the channels of a grey pixel. Lossy formats do not keep them equal:
+Pillow's WebP changes grey noise by 1 level; the bound leaves room for other encoders."""
 
 
 def read_probability(path: str | Path, *, zero_one: bool | None = None) -> np.ndarray:

@@ -36,16 +36,11 @@ NO_CONVENTION = (
 def check_views(
     gaussians: Gaussians, cameras: Sequence[Camera], *, near: float = NEAR
 ) -> list[str]:
-    """Check the share of Gaussians inside the frustum of at least one camera.
-
-    Args:
-        gaussians: The scene; large scenes are sampled.
-        cameras: Cameras of the scene.
-        near: Near plane in world units.
+    """Check the share of Gaussians that are visible from at least one camera.
 
     Returns:
-        Warnings, one line each: cameras that see nothing, a low share, a near plane that cuts
-        most away. Empty if there are no problems.
+        Warnings, one line each: cameras that see nothing, a low share, a near plane (in world
+        units) that cuts most away.
 
     Raises:
         InputError: if there are no cameras or no Gaussians, or if the share is below 1 %.

@@ -14,23 +14,18 @@ from gsc_jax.benchmark.scenes import tampered_room
 from gsc_jax.cli import demo
 from gsc_jax.cli.options import Demo
 from gsc_jax.estimators import Method
-from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.io.cameras import load_cameras
 from gsc_jax.io.masks import image_path, read_probability
 from gsc_jax.io.ply import read_ply
 
 COUNT, VIEWS, HELDOUT = 6_000, 6, 2
-METHOD_ROWS = ("inverse projection", *demo.RUNS)
 
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
     out = tmp_path_factory.mktemp("demo")
-    stages = []
     made = tampered_room(seed=1, count=COUNT, views=VIEWS, heldout=HELDOUT, width=96, height=72)
-    monitor = Monitor(lambda stage, *counts: stages.append(stage))
-    lines = demo.run_demo(Demo(out=out, seed=1), made=made, monitor=monitor)
-    return out, lines, set(stages)
+    return out, demo.run_demo(Demo(out=out, seed=1), made=made)
 
 
 def numbers(lines: list[str], begin: str) -> list[float]:
@@ -40,7 +35,7 @@ def numbers(lines: list[str], begin: str) -> list[float]:
 
 
 def test_the_input_files_hold_the_scene(finished):
-    out, _, _ = finished
+    out, _ = finished
     scene = read_ply(out / "input" / "scene.ply")
     labels = np.load(out / "input" / "labels.npy")
     assert len(scene.gaussians) == len(labels) == COUNT
@@ -55,7 +50,7 @@ def test_the_input_files_hold_the_scene(finished):
 
 @pytest.mark.parametrize("method", get_args(Method))
 def test_every_method_ran_on_the_files(finished, method):
-    out, _, _ = finished
+    out, _ = finished
     result = json.loads((out / method / "result.json").read_text())
     assert result["method"] == method
     assert result["command"]["masks"] == str(out / "input" / "masks")
@@ -65,32 +60,17 @@ def test_every_method_ran_on_the_files(finished, method):
 
 @pytest.mark.parametrize("method", get_args(Method))
 def test_the_printed_scores_are_those_of_the_files(finished, method):
-    out, lines, _ = finished
+    out, lines = finished
     labels = np.load(out / method / "labels.npy")
     score = confusion(labels, np.load(out / "input" / "labels.npy"))
-    assert numbers(lines, method) == [
+    assert numbers(lines, method)[:4] == [
         labels.sum(),
         *(pytest.approx(x, abs=5e-4) for x in (score.precision, score.recall, score.f1)),
     ]
 
 
-def test_every_heldout_view_has_a_score_of_every_method(finished):
-    out, lines, _ = finished
-    begin = next(k for k, line in enumerate(lines) if line.startswith("F1 of held-out view"))
-    *views, _, _ = lines[begin].split()[4:]
-    assert views
-    for view in views:
-        name = f"heldout_{view}"
-        assert read_probability(image_path(out / "input" / "truth", name)).any()
-    for name, line in zip(("detector alone", *METHOD_ROWS), lines[begin + 1 :], strict=False):
-        *f1, mean, iou = numbers([line], name)
-        assert len(f1) == len(views)
-        assert mean == pytest.approx(np.mean(f1), abs=0.011)
-        assert iou <= mean
-
-
 def test_the_introduction_states_the_score_of_the_masks(finished):
-    out, lines, _ = finished
+    out, lines = finished
     introduction = " ".join(lines[:5])
     assert demo.REGIME in introduction
     (printed,) = re.findall(r"mean F1 of ([\d.]+)", introduction)
@@ -104,7 +84,7 @@ def test_the_introduction_states_the_score_of_the_masks(finished):
 
 
 def test_the_printed_paths_exist(finished):
-    out, lines, _ = finished
+    out, lines = finished
     paths = re.findall(rf"{re.escape(str(out))}\S*\.(?:png|html)", "\n".join(lines))
     picture, *reports = paths
     assert iio.imread(picture)[..., :3].std() > 10, "the picture is empty"
@@ -113,7 +93,7 @@ def test_the_printed_paths_exist(finished):
 
 
 def test_the_scene_before_the_edit_is_processed_too(finished):
-    out, lines, _ = finished
+    out, lines = finished
     before = np.load(out / "input" / "untouched" / "labels.npy")
     assert not before.any()
     assert len(before) == COUNT - np.load(out / "input" / "labels.npy").sum()
@@ -127,19 +107,15 @@ def test_the_scene_before_the_edit_is_processed_too(finished):
 
 
 def test_the_first_run_uses_the_attributes_only(finished):
-    out, _, _ = finished
+    out, _ = finished
     result = json.loads((out / demo.ATTRIBUTES_ONLY / "result.json").read_text())
     assert result["command"]["masks"] is None
     assert result["attributes"]["verdict"] == result["verdict"]
 
 
 def test_the_inverse_projection_has_low_precision(finished):
-    _, lines, _ = finished
-    count, precision, recall, _ = numbers(lines, "inverse projection")
+    _, lines = finished
+    count, precision, recall, *_ = numbers(lines, "inverse projection")
     assert recall > 0.5
     assert precision < 0.5
     assert count < COUNT
-
-
-def test_progress_reports_every_stage(finished):
-    assert finished[2] >= {"make", "load", "views", "masks", "write"}

@@ -74,7 +74,7 @@ class TestResultsOfLocate:
             assert (read.width, read.height) == (used.width, used.height) == (32, 24)
             np.testing.assert_allclose(read.viewmat, used.viewmat, atol=1e-6)
             np.testing.assert_allclose(read.K, used.K, rtol=1e-6)
-            assert results.mask_path(read.name).is_file()
+            assert image_path(results.folder / "masks", read.name).is_file()
 
     def test_labels_are_the_scores_above_the_threshold(self, found):
         _, results = found

@@ -8,7 +8,6 @@ from safire_models import CELLS, IMAGE, ODD, SIDE, decoder, detector, encoder
 
 from gsc_jax.detectors.preprocessing import to_tensor
 from gsc_jax.detectors.safire import SAM, SafireDetector
-from gsc_jax.evidence.detector import as_detector, fit_to_view
 from gsc_jax.scene import InputError
 
 
@@ -43,12 +42,6 @@ def test_image_is_stretched_to_a_square(tmp_path):
     network = detector(tmp_path)
     stretched = np.repeat(IMAGE, 2, axis=1)
     np.testing.assert_allclose(network(stretched, view()), network(IMAGE, view("b")), atol=0.05)
-
-
-@pytest.mark.parametrize("seed", [1, 2, 99])
-def test_clear_groups_do_not_depend_on_the_seed(tmp_path, seed):
-    found = detector(tmp_path / "a", seed=seed)(IMAGE, view())
-    np.testing.assert_array_equal(found, detector(tmp_path / "b")(IMAGE, view()))
 
 
 @pytest.mark.parametrize("prompts", [1, 5, 16, 64, 100])
@@ -127,15 +120,6 @@ def test_fingerprint_depends_on_both_networks_and_the_options(tmp_path):
     ]
     assert len(set(prints)) == len(prints)
     assert detector(tmp_path / "e").fingerprint == prints[0]
-
-
-def test_map_fits_any_view(tmp_path):
-    network = detector(tmp_path)
-    assert as_detector(network) is network
-    camera = view(width=20, height=12)
-    found = fit_to_view(network(IMAGE, camera), camera)
-    assert found.shape == (12, 20)
-    assert found[4, 15] > 0.5 > found[10, 2]
 
 
 # Networks that do not fit

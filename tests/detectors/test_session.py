@@ -3,8 +3,7 @@
 import numpy as np
 import onnxruntime
 import pytest
-from external_models import PLACES, WEIGHTS, data, model
-from onnx_models import network
+from onnx_models import WEIGHTS, external_data, external_model, network
 
 from gsc_jax.detectors.session import open_session, provider_names
 from gsc_jax.scene import InputError
@@ -19,29 +18,27 @@ def refused(path) -> str:
     return message
 
 
-@pytest.mark.parametrize("place", PLACES)
 @pytest.mark.parametrize("location", ["w.bin", "sub/w.bin", "sub/../w.bin"])
-def test_external_data_beside_the_model_are_read(tmp_path, place, location):
-    data(tmp_path / "sub" / "w.bin")
-    data(tmp_path / "w.bin")
-    session = open_session(model(tmp_path, location, place=place), threads=1)
+def test_external_data_beside_the_model_are_read(tmp_path, location):
+    external_data(tmp_path / "sub" / "w.bin")
+    external_data(tmp_path / "w.bin")
+    session = open_session(external_model(tmp_path, location), threads=1)
     (found,) = session.run(None, {"x": WEIGHTS})
     np.testing.assert_array_equal(found, 2 * WEIGHTS)
 
 
-@pytest.mark.parametrize("place", PLACES)
 @pytest.mark.parametrize(
     "location",
     ["{secret}", "../secret.bin", "link.bin", "linked/secret.bin", "loop.bin", "C:secret.bin"],
 )
-def test_external_data_outside_the_folder_are_refused(tmp_path, place, location):
+def test_external_data_outside_the_folder_are_refused(tmp_path, location):
     """Onnxruntime refuses them from version 1.24, the minimum in pyproject.toml."""
-    secret, folder = data(tmp_path / "secret.bin"), tmp_path / "model"
+    secret, folder = external_data(tmp_path / "secret.bin"), tmp_path / "model"
     folder.mkdir()
     (folder / "link.bin").symlink_to(secret)
     (folder / "linked").symlink_to(tmp_path)
     (folder / "loop.bin").symlink_to(folder / "loop.bin")
-    path = model(folder, location.format(secret=secret), place=place)
+    path = external_model(folder, location.format(secret=secret))
     assert "external tensors in the same folder" in refused(path)
 
 
@@ -49,14 +46,14 @@ def test_external_data_outside_the_folder_are_refused(tmp_path, place, location)
 def test_invalid_external_data_are_refused(tmp_path, location):
     (tmp_path / "sub").mkdir()
     (tmp_path / "short.bin").write_bytes(b"short")
-    assert "cannot load" in refused(model(tmp_path, location))
+    assert "cannot load" in refused(external_model(tmp_path, location))
 
 
 def test_linked_model_has_its_data_beside_the_link_or_its_target(tmp_path):
     """The cache of a model hub consists of links into one folder."""
     blobs, snapshot = tmp_path / "blobs", tmp_path / "snapshot"
-    data(blobs / "abc")
-    model(blobs, "w.bin").rename(blobs / "def")
+    external_data(blobs / "abc")
+    external_model(blobs, "w.bin").rename(blobs / "def")
     snapshot.mkdir()
     (snapshot / "net.onnx").symlink_to(blobs / "def")
     (snapshot / "w.bin").symlink_to(blobs / "abc")

@@ -1,9 +1,8 @@
-"""The documentation: the tutorial runs as written, and nothing public lacks a place in it."""
+"""The tutorial prints its documented output, its pictures are shown, and links have targets."""
 
 import contextlib
 import importlib.util
 import io
-import pkgutil
 import re
 from pathlib import Path
 from types import ModuleType
@@ -13,8 +12,6 @@ import jax
 import numpy as np
 import pytest
 
-import gsc_jax
-
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
@@ -23,7 +20,7 @@ LARGEST_PICTURE, ALL_PICTURES = 150_000, 1_000_000
 
 
 def script(name: str) -> ModuleType:
-    """One of the scripts in docs/, as a module."""
+    """Import a script of docs/."""
     spec = importlib.util.spec_from_file_location(f"docs_{name}", DOCS / f"{name}.py")
     assert spec is not None
     assert spec.loader is not None
@@ -32,12 +29,11 @@ def script(name: str) -> ModuleType:
     return module
 
 
-def same(printed: str, written: str) -> bool:
-    """Whether two texts are the same words, with numbers that may differ a little."""
-    found, expected = NUMBER.findall(printed), NUMBER.findall(written)
-    if NUMBER.split(printed.strip()) != NUMBER.split(written.strip()):
+def same(printed: str, documented: str) -> bool:
+    """Whether two texts have the same words, and numbers that are equal up to a tolerance."""
+    if NUMBER.split(printed.strip()) != NUMBER.split(documented.strip()):
         return False
-    pairs = zip(found, expected, strict=True)
+    pairs = zip(NUMBER.findall(printed), NUMBER.findall(documented), strict=True)
     return all(value(a) == pytest.approx(value(b), rel=0.05, abs=0.02) for a, b in pairs)
 
 
@@ -46,49 +42,48 @@ def value(number: str) -> float:
 
 
 @pytest.fixture
-def as_people_run_it(tmp_path, monkeypatch):
-    """An empty folder but for `pictures`, and JAX as it is without the strictness of the tests."""
+def user_settings(tmp_path, monkeypatch):
+    """A folder with an empty `pictures`, and JAX without the strict settings of the tests."""
     (tmp_path / "pictures").mkdir()
     monkeypatch.chdir(tmp_path)
     with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
         yield tmp_path
 
 
-def test_the_tutorial_runs_and_prints_what_it_says(as_people_run_it):
+def test_the_tutorial_prints_its_documented_output(user_settings):
     names: dict = {}
     blocks = script("pictures").blocks()
     assert len(blocks) >= 15
-    for code, written in blocks:
-        with contextlib.redirect_stdout(io.StringIO()) as printed:
+    for code, documented in blocks:
+        with contextlib.redirect_stdout(io.StringIO()) as output:
             exec(compile(code, "tutorial.md", "exec"), names)
-        found = printed.getvalue()
-        assert same(found, written), f"{code}\nprints\n\n{found}\nbut the page says\n\n{written}"
-    saved = {picture.name for picture in (as_people_run_it / "pictures").iterdir()}
+        printed = output.getvalue()
+        assert same(printed, documented), f"{code}\nprints\n\n{printed}\nnot\n\n{documented}"
+    saved = {picture.name for picture in (user_settings / "pictures").iterdir()}
     assert saved == set(pictures_of(DOCS / "tutorial.md"))
 
 
-def test_what_is_printed_is_compared_by_words_and_by_numbers():
+def test_printed_output_is_compared_by_words_and_numbers():
     assert same("robust: F1 0.97, 1,990 found", "robust: F1 0.98, 2,000 found\n")
     assert not same("robust: F1 0.90", "robust: F1 0.98")
     assert not same("robust: F1 0.98", "paper: F1 0.98")
     assert not same("0.98", "0.98 0.98")
-    assert not same("", "0.98")
 
 
 def pictures_of(page: Path) -> list[str]:
     return re.findall(r"!\[[^\]]+\]\((?:docs/)?pictures/([^)]+)\)", page.read_text("utf-8"))
 
 
-def test_the_pictures_are_small_and_shown():
+def test_pictures_are_small_and_each_is_shown_on_a_page():
     sizes = {picture.name: picture.stat().st_size for picture in (DOCS / "pictures").iterdir()}
     assert set(sizes) == {name for page in PAGES for name in pictures_of(page)}
     assert max(sizes.values()) < LARGEST_PICTURE
     assert sum(sizes.values()) < ALL_PICTURES
 
 
-def test_the_first_picture_can_be_made_again(as_people_run_it):
+def test_the_teaser_can_be_reproduced(user_settings):
     pictures, (large, small) = script("pictures"), (Path("large.png"), Path("teaser.png"))
-    # Of the sizes in the tutorial, for which all is compiled by now.
+    # The sizes of the tutorial, for which JAX has compiled already.
     pictures.teaser(large, pictures.made_case(count=20_000, width=320, height=240))
     pictures.shrink(large, small)
     large, small = iio.imread(large), iio.imread(small)
@@ -97,32 +92,9 @@ def test_the_first_picture_can_be_made_again(as_people_run_it):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_what_pages_link_to_is_there_for_readers_of_the_repository(page):
+def test_links_between_files_of_the_repository_lead_to_files(page):
     text = re.sub(r"^```.*?^```$", "", page.read_text("utf-8"), flags=re.DOTALL | re.MULTILINE)
     for target in re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", text):
         if not target.startswith("https://"):
             assert (page.parent / target).exists(), f"{target} is linked but missing"
     assert not re.search(r"!\[\]", text), "a picture has no alt text"
-
-
-def modules() -> set[str]:
-    """Every module of the package; the packages only hold them."""
-    walked = pkgutil.walk_packages(gsc_jax.__path__, "gsc_jax.")
-    return {module.name for module in walked if not module.ispkg}
-
-
-def test_every_module_has_one_place_in_the_reference():
-    shown = [
-        name
-        for page in (DOCS / "reference").glob("*.md")
-        for name in re.findall(r"^::: (\S+)$", page.read_text("utf-8"), flags=re.MULTILINE)
-    ]
-    assert not modules() - set(shown), "these modules have no place in docs/reference/"
-    assert not set(shown) - modules(), "the reference shows modules that are gone"
-    assert len(shown) == len(set(shown)), "a module is shown twice"
-
-
-def test_every_public_name_is_in_the_table_of_the_reference():
-    table = (DOCS / "reference" / "index.md").read_text("utf-8")
-    listed = re.findall(r"^\| \[`(\w+)`\]", table, flags=re.MULTILINE)
-    assert sorted(listed) == sorted(gsc_jax.__all__)

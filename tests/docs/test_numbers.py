@@ -18,7 +18,7 @@ NAMES = {
 
 
 def cells(text: str, first: str) -> list[str]:
-    """Cells of the row of a table that begins with a name, without the name."""
+    """Cells of the table row that begins with a name, without the name."""
     (row,) = re.findall(rf"^\| {re.escape(first)} \|(.*)\|$", text, flags=re.MULTILINE)
     return [cell.strip() for cell in row.split("|")]
 

@@ -92,7 +92,7 @@ def test_views_are_added_until_the_labels_are_stable():
 
 def test_progress_counts_across_batches():
     calls = []
-    locate(SCENE, CAMERAS, Network(), monitor=Monitor(lambda *args: calls.append(args)))
+    locate(SCENE, CAMERAS, Network(), monitor=Monitor(progress=lambda *args: calls.append(args)))
     views = [(done, total) for stage, done, total in calls if stage == "views"]
     assert {total for _, total in views} == {VIEWS}
     done = [done for done, _ in views]

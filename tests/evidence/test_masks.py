@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from strategies import blobs, camera, floats
 
-from gsc_jax.evidence.masks import normalise, rendered_share, view_mask
+from gsc_jax.evidence.masks import Labelled, normalise, rendered_share, view_mask
 
 CAMERA = camera(33, 17)
 LEFT, RIGHT = [-0.5, 0, 2], [0.5, 0, 2]
@@ -29,7 +29,9 @@ def test_scores_without_a_positive_attribute_are_0(attribute):
 @pytest.mark.parametrize("rule", ["share", "attribute", "per-view"])
 def test_the_mask_shows_the_tampered_gaussian_and_not_the_other(rule):
     scene = blobs([LEFT, RIGHT], opacity=0.9)
-    mask = view_mask(scene, CAMERA, np.array([1.0, 0.0]), np.array([True, False]), rule=rule)
+    mask = view_mask(
+        scene, CAMERA, Labelled(np.array([1.0, 0.0]), np.array([True, False])), rule=rule
+    )
     assert mask[8, :16].any(), "the tampered Gaussian is invisible"
     assert not mask[8, 20:].any(), "the authentic Gaussian is in the mask"
 
@@ -38,8 +40,8 @@ def test_only_the_released_rule_ignores_occlusion():
     scene = blobs([[0, 0, 1], [0, 0, 1], [0, 0, 1], [0, 0, 3]], opacity=0.99, scale=0.5)
     labels = np.array([False, False, False, True])
     attribute = labels.astype(np.float32)
-    assert view_mask(scene, CAMERA, attribute, labels, rule="per-view").any()
-    assert not view_mask(scene, CAMERA, attribute, labels, rule="share").any()
+    assert view_mask(scene, CAMERA, Labelled(attribute, labels), rule="per-view").any()
+    assert not view_mask(scene, CAMERA, Labelled(attribute, labels), rule="share").any()
 
 
 def test_only_the_released_rule_lifts_noise_to_1_in_views_without_the_object():
@@ -49,15 +51,15 @@ def test_only_the_released_rule_lifts_noise_to_1_in_views_without_the_object():
     K = np.array(right_is_outside.K)
     K[0, 2] = 16.5
     view = type(right_is_outside)(viewmat=right_is_outside.viewmat, K=K, width=16, height=17)
-    assert view_mask(scene, view, attribute, labels, rule="per-view").any()
-    assert not view_mask(scene, view, attribute, labels, rule="attribute").any()
+    assert view_mask(scene, view, Labelled(attribute, labels), rule="per-view").any()
+    assert not view_mask(scene, view, Labelled(attribute, labels), rule="attribute").any()
 
 
 @pytest.mark.usefixtures("nan_is_an_error")
 @pytest.mark.parametrize("rule", ["share", "attribute", "per-view"])
 def test_without_labels_the_mask_is_empty(rule):
     scene = blobs([LEFT])
-    mask = view_mask(scene, CAMERA, np.zeros(1), np.zeros(1, bool), rule=rule)
+    mask = view_mask(scene, CAMERA, Labelled(np.zeros(1), np.zeros(1, bool)), rule=rule)
     assert mask.shape == (17, 33)
     assert mask.dtype == bool
     assert not mask.any()

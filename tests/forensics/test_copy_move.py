@@ -3,7 +3,7 @@
 import dataclasses
 
 import numpy as np
-from trace_cases import assert_matches, central_rows, detected, room, with_copy
+from forensics_cases import assert_matches, central_rows, detected, room, with_copy
 
 from gsc_jax.benchmark.incorporation import transformed
 from gsc_jax.benchmark.scenes import concatenate

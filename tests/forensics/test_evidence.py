@@ -7,7 +7,7 @@ import pytest
 from export import exported
 from forensics_cases import BASE, PEAK, evidence_of, two_groups
 
-from gsc_jax import InputError, locate
+from gsc_jax import locate
 from gsc_jax.benchmark.metrics import auc, truth_mask
 from gsc_jax.benchmark.scenes import tampered_room
 from gsc_jax.forensics.calibration import LEVEL_BESIDE_TRACES, SURE_PROBABILITY, UNSURE_LEVEL
@@ -150,15 +150,3 @@ def test_attributes_raise_the_verdict_of_masks_and_never_lower_it():
     ]
     assert verdicts[0] == verdicts[1] < verdicts[2]
     assert verdicts[1] == pytest.approx(locate(SAVED, MADE.cameras, masks, prior=False).verdict)
-
-
-def test_evidence_of_another_scene_is_refused():
-    with pytest.raises(ValueError, match="3 Gaussians"):
-        locate(SAVED, MADE.cameras, None, prior=evidence_of(np.zeros(3), 0.5))
-
-
-def test_methods_without_a_prior_compute_no_evidence():
-    masks = {camera.name: np.zeros((48, 64), np.float32) for camera in MADE.cameras}
-    assert locate(SAVED, MADE.cameras, masks, method="official").prior is None
-    with pytest.raises(InputError, match="No camera has a mask"):
-        locate(SAVED, MADE.cameras, {"elsewhere": np.zeros((4, 4))})

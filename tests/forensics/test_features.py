@@ -16,7 +16,6 @@ from gsc_jax.forensics.features import (
     compute_features,
     duplicate_closeness,
     in_group,
-    standardise,
 )
 
 ROOM = make_room(count=2_000, seed=3)
@@ -69,7 +68,3 @@ def test_copies_are_close_and_others_are_not():
     assert closeness[-50:].min() > 0.99
     assert closeness[:50].min() > 0.99
     assert closeness[50:-50].mean() < 0.2
-
-
-def test_constants_are_standardised_to_0():
-    assert not standardise(np.full((40, 2), 3.0)).any()

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from data import load_tampered, needs_data
-from trace_cases import (
+from forensics_cases import (
     assert_matches,
     central_rows,
     changed,

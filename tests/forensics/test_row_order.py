@@ -1,7 +1,7 @@
 """Row order: an appended object is found in an unsorted file, and only there."""
 
 import numpy as np
-from trace_cases import assert_matches, room
+from forensics_cases import assert_matches, room
 
 from gsc_jax.benchmark.scenes import concatenate, make_object
 from gsc_jax.forensics.row_order import row_order

@@ -2,15 +2,10 @@
 
 import dataclasses
 
-import jax
 import numpy as np
 import pytest
 from data import DATA, SCENES, needs_data
-from garden import make_garden
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from strategies import random_scene, with_row
-from trace_cases import (
+from forensics_cases import (
     assert_matches,
     central_rows,
     changed,
@@ -18,9 +13,12 @@ from trace_cases import (
     labels_of,
     quantised_room,
     room,
-    with_copy,
     without_higher_bands,
 )
+from garden import make_garden
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from strategies import random_scene, with_row
 
 from gsc_jax.benchmark.scenes import make_room
 from gsc_jax.forensics.evidence import TRACES, forensic_evidence
@@ -119,11 +117,3 @@ def test_any_trace_is_the_noisy_or():
     scores = np.array([[0, 0.5, 1], [0, 0.5, 0.3]], np.float32)
     one, other = (Trace(name="row-order", score=score, explanation="") for score in scores)
     np.testing.assert_allclose(any_trace([one, other]), [0, 0.75, 1])
-
-
-def test_jax_arrays_give_the_same_scores():
-    edited = with_copy(room(), PART)
-    on_device = jax.tree.map(jax.numpy.asarray, edited)
-    for detect in TRACES:
-        one, other = detected(detect, edited), detected(detect, on_device)
-        np.testing.assert_array_equal(one.score, other.score)

@@ -23,7 +23,7 @@ def test_poses_are_camera_to_world_and_the_principal_point_is_the_centre(tmp_pat
 @pytest.mark.parametrize(
     ("item", "field"),
     [
-        (3, "dictionary"),
+        (3, "found 3"),
         ({"width": 640}, "img_name"),
         ({"img_name": "a"}, "width"),
         (ITEM | {"rotation": [1, 2]}, "rotation"),

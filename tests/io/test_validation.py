@@ -34,14 +34,14 @@ class Outer(pydantic.BaseModel, extra="forbid"):
 )
 def test_line_names_file_key_expected_and_found(given, line):
     with pytest.raises(pydantic.ValidationError) as caught:
-        Outer(**given)
+        Outer.model_validate(given)
     assert one_line(caught.value, "run.toml", given, known=["name"]).startswith(line)
 
 
 def test_line_names_all_types_of_a_union():
     given = {"name": "a", "either": "x"}
     with pytest.raises(pydantic.ValidationError) as caught:
-        Outer(**given)
+        Outer.model_validate(given)
     line = one_line(caught.value, "run.toml", given)
     assert line.startswith("run.toml: either: expected a valid integer")
     assert "or expected a valid list" in line

@@ -15,14 +15,7 @@ MIN_LOG_SCALE = -30.0
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Distribution:
-    """Values of one attribute in two groups.
-
-    Attributes:
-        title: Name of the attribute.
-        unit: Unit of the values.
-        tampered: Values of the tampered Gaussians, shape (A,).
-        authentic: Values of the authentic Gaussians, shape (B,).
-    """
+    """Values of one attribute of tampered (A,) and of authentic Gaussians (B,)."""
 
     title: str
     unit: str
@@ -33,9 +26,6 @@ class Distribution:
         """Share of each group per bin, and the edges of the bins.
 
         The bins span the 0.5% to 99.5% quantiles of both groups; the outermost include the rest.
-
-        Args:
-            bins: Number of bins.
         """
         groups = (self.tampered, self.authentic)
         quantiles = np.concatenate([np.quantile(group, [0.005, 0.995]) for group in groups])
@@ -52,15 +42,12 @@ class Distribution:
 def attribute_distributions(
     gaussians: Gaussians, labels: np.ndarray, seen: np.ndarray
 ) -> list[Distribution]:
-    """Distributions of the attributes of visible tampered and authentic Gaussians.
+    """Distributions of six or seven attributes; none if a group is empty.
 
     Args:
         gaussians: N Gaussians.
         labels: Tampered Gaussians, shape (N,) bool.
         seen: Visible Gaussians; the others are in neither group, shape (N,) bool.
-
-    Returns:
-        Six, or seven if the colours depend on the view; none if a group is empty.
     """
     tampered, authentic = seen & labels, seen & ~labels
     if not (tampered.any() and authentic.any()):

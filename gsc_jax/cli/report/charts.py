@@ -48,15 +48,7 @@ def score_histogram(result: Result) -> Chart:
 
 
 def attribute_charts(gaussians: Gaussians, result: Result) -> list[Chart]:
-    """Distributions of the attributes of visible tampered and authentic Gaussians.
-
-    Args:
-        gaussians: The N Gaussians of the result.
-        result: The result.
-
-    Returns:
-        A chart per attribute; empty if one of the groups is.
-    """
+    """A chart per attribute of the visible tampered and authentic Gaussians; perhaps none."""
     found = attribute_distributions(gaussians, result.labels, result.seen)
     return [_attribute_chart(distribution) for distribution in found]
 

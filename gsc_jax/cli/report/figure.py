@@ -19,14 +19,7 @@ DARK = {"ink": "#ebe8e3", "muted": "#aba69e", "cycle": ["#ff7fae", "#85b8ee"]}
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Chart:
-    """A chart of the page.
-
-    Attributes:
-        title: Heading.
-        text: One or two sentences on what the chart shows.
-        light: The image for the light scheme, as a data URI.
-        dark: The same image for the dark scheme.
-    """
+    """A chart: heading, sentences, and its image for each scheme as a data URI."""
 
     title: str
     text: str
@@ -35,21 +28,21 @@ class Chart:
 
 
 def chart(
-    plot: "Callable[[Axes], None]", *, title: str, text: str, size: tuple[float, float]
+    plot: "Callable[[Axes], object]", *, title: str, text: str, size: tuple[float, float]
 ) -> Chart:
     """Draw a chart in both colour schemes.
 
     Args:
         plot: Draws into the axes; called twice.
         title: Heading.
-        text: What the chart shows.
+        text: Sentences on what the chart shows.
         size: Width and height in inches, with text of 9 points.
     """
     light, dark = (_data_uri(plot, scheme, size) for scheme in (LIGHT, DARK))
     return Chart(title=title, text=text, light=light, dark=dark)
 
 
-def _data_uri(plot: "Callable[[Axes], None]", scheme: dict, size: tuple[float, float]) -> str:
+def _data_uri(plot: "Callable[[Axes], object]", scheme: dict, size: tuple[float, float]) -> str:
     import matplotlib
     from matplotlib.figure import Figure
 

@@ -17,7 +17,7 @@ from typing import Any
 from gsc_jax.cli.located import Located
 from gsc_jax.cli.report import wording
 from gsc_jax.cli.report.charts import attribute_charts, score_histogram
-from gsc_jax.cli.report.thumbnails import LAYERS, Thumbnail, thumbnails, url
+from gsc_jax.cli.report.thumbnails import LAYERS, Thumbnail, thumbnails
 from gsc_jax.cli.staging import OUTPUTS
 from gsc_jax.evidence.monitor import Monitor
 
@@ -41,9 +41,6 @@ def report_page(
         report: Content of result.json.
         located: The run.
         monitor: Receives the progress over views.
-
-    Returns:
-        A complete HTML document.
     """
     result, counts = located.result, report["counts"]
     images = _images(folder, report["per_view"], monitor or Monitor())
@@ -66,7 +63,7 @@ def report_page(
         layers={name: title for name, title in LAYERS.items() if name in present},
         histogram=score_histogram(result),
         attributes=attribute_charts(located.scene.gaussians, result),
-        files=_files(folder, report["outputs"]),
+        files=_files(report["outputs"]),
         tables=_tables(report),
         style=style,
         script=script,
@@ -83,16 +80,14 @@ def _images(folder: Path, views: list[dict[str, Any]], monitor: Monitor) -> list
     return images
 
 
-def _files(folder: Path, outputs: list[str]) -> list[tuple[str, str, str]]:
-    """Name, URL and description of each file and folder, in the order of `OUTPUTS`."""
-    rows = []
-    for name, description in OUTPUTS.items():
-        count = sum(path.startswith(name) for path in outputs)
-        if count and name.endswith("/"):
-            rows.append((name, f"{url(folder / name, folder)}/", f"{description} ({count})"))
-        elif count:
-            rows.append((name, url(folder / name, folder), description))
-    return rows
+def _files(outputs: list[str]) -> list[tuple[str, str]]:
+    """Name and description of each file and folder, in the order of `OUTPUTS`."""
+    counts = {name: sum(path.startswith(name) for path in outputs) for name in OUTPUTS}
+    return [
+        (name, f"{text} ({counts[name]})" if name.endswith("/") else text)
+        for name, text in OUTPUTS.items()
+        if counts[name]
+    ]
 
 
 def _tables(report: Mapping[str, Any]) -> dict[str, list[tuple[str, str]]]:

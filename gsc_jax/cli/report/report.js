@@ -19,11 +19,8 @@
     const address = thumbnail.dataset.full;
     if (!cache.has(address)) {
       const image = new Image();
-      image.onload = () => selected() === thumbnail && draw();
-      image.onerror = () => {
-        image.missing = true;
-        if (selected() === thumbnail) draw();
-      };
+      const update = () => selected() === thumbnail && draw();
+      image.onload = image.onerror = update;
       image.src = address;
       cache.set(address, image);
     }
@@ -42,7 +39,7 @@
     const shown = frame.querySelector("img") || new Image();
     shown.alt = thumbnail.alt;
     shown.src = full.complete && full.naturalWidth ? full.src : thumbnail.src;
-    small.hidden = !full.missing;
+    small.hidden = !full.complete || full.naturalWidth > 0;
     if (shown.parentNode !== frame) frame.replaceChildren(shown);
   }
 

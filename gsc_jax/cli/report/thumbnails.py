@@ -4,14 +4,13 @@ Thumbnails get smaller with the number of views, so that the page stays small en
 """
 
 import base64
-import dataclasses
 import io
 import math
 import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import quote
 
 from gsc_jax.cli.pictures import jpeg_path
@@ -27,24 +26,16 @@ LAYERS = {
 }
 """Images of a view: folder and title, in the order of their keys."""
 MAX_SIDE_PIXELS, MIN_SIDE_PIXELS = 320, 120
-"""Longest side of a thumbnail: the width of a column of the page, and what is still recognisable."""
+"""Longest side of a thumbnail: the width of a column, and what is still recognisable."""
 FULL_SIZE_VIEWS = 150
-"""Views up to which thumbnails have full size: their page stays under 14 MB (a test measures it)."""
+"""Views up to which thumbnails have full size: a test checks that 200 take less than 14 MB."""
 JPEG_QUALITY = 76
 GREY_LEVELS = 8
 """Grey levels of a mask: enough for smooth edges."""
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Thumbnail:
-    """An image of a view.
-
-    Attributes:
-        layer: A key of `LAYERS`.
-        source: The thumbnail as a data URI.
-        full: URL of the full image, relative to the page.
-        alt: Alternative text.
-    """
+class Thumbnail(NamedTuple):
+    """An image of a view: its layer, the thumbnail as a data URI, and the URL of the full image."""
 
     layer: str
     source: str
@@ -53,14 +44,11 @@ class Thumbnail:
 
 
 def thumbnails(folder: Path, views: Sequence[dict[str, Any]]) -> Iterator[list[Thumbnail]]:
-    """Make the thumbnails of all views.
+    """Yield the existing layers of each view, in the order of `LAYERS`.
 
     Args:
         folder: Folder of results.
         views: `per_view` of result.json.
-
-    Yields:
-        The existing layers of each view, in the order of `LAYERS`.
     """
     side = thumbnail_side(len(views))
 
@@ -70,9 +58,9 @@ def thumbnails(folder: Path, views: Sequence[dict[str, Any]]) -> Iterator[list[T
             place = image_path if layer in ("detector", "masks") else jpeg_path
             path = place(folder / layer, view["name"])
             if path.is_file():
-                source, full = data_uri(path, side), url(path, folder)
-                alt = _alt(layer, view)
-                made.append(Thumbnail(layer=layer, source=source, full=full, alt=alt))
+                made.append(
+                    Thumbnail(layer, data_uri(path, side), url(path, folder), _alt(layer, view))
+                )
         return made
 
     with ThreadPoolExecutor(WORKERS) as pool:
@@ -91,12 +79,7 @@ def url(path: Path, folder: Path) -> str:
 
 
 def data_uri(path: Path, side: int) -> str:
-    """Shrink an image and encode it as a data URI.
-
-    Args:
-        path: A .jpg, or a grey .png, which is reduced to a palette of a few levels.
-        side: Longest side in pixels, at most.
-    """
+    """Shrink a .jpg, or a grey .png with few levels, to a data URI; `side` is in pixels."""
     from PIL import Image
 
     lossy = path.suffix == ".jpg"

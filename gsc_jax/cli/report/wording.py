@@ -1,6 +1,5 @@
 """Sentences about results, shared by the command line, the report and the viewer."""
 
-import dataclasses
 from collections import Counter
 from pathlib import Path
 
@@ -9,37 +8,21 @@ from gsc_jax.estimators.protocol import Reliability
 from gsc_jax.forensics.traces import Trace
 from gsc_jax.locate import Result
 
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Wording:
-    """How a value is shown: a sign without colour, a short name and an explanation."""
-
-    sign: str
-    short: str
-    explanation: str
-
-
-RELIABILITY: dict[Reliability, Wording] = {
-    "reliable": Wording(
-        sign="●",
-        short="reliable",
-        explanation="The view shows the edit, and the mask flags most of it.",
+RELIABILITY: dict[Reliability, tuple[str, str, str]] = {
+    "reliable": ("●", "reliable", "The view shows the edit, and the mask flags most of it."),
+    "inverted": (
+        "◇",
+        "inverted",
+        "The mask flags everything except the edit; it was used inverted.",
     ),
-    "inverted": Wording(
-        sign="◇",
-        short="inverted",
-        explanation="The mask flags everything except the edit; it was used inverted.",
+    "uninformative": (
+        "▽",
+        "uninformative",
+        "The view shows the edit, but the mask does not flag most of it.",
     ),
-    "uninformative": Wording(
-        sign="▽",
-        short="uninformative",
-        explanation="The view shows the edit, but the mask does not flag most of it.",
-    ),
-    "unseen": Wording(
-        sign="✕", short="edit not in view", explanation="The view does not show the edit."
-    ),
+    "unseen": ("✕", "edit not in view", "The view does not show the edit."),
 }
-"""Reliability of masks, the most useful first."""
+"""Sign, name and explanation of each reliability of a mask, the most useful first."""
 TRACES: dict[str, tuple[str, str]] = {
     "copy-move": (
         "Copy-move",
@@ -68,7 +51,7 @@ TRACES: dict[str, tuple[str, str]] = {
 }
 """Title of each trace, and why it is evidence of an edit."""
 MIN_EDITED = 0.65
-"""Scene probability from which a sentence states an edit; the name of a level, not a measurement."""
+"""Scene probability from which a sentence states an edit: about 2 to 1 odds."""
 HEADLINES: tuple[tuple[float, str], ...] = (
     (0.99, "This scene was almost certainly edited."),
     (0.9, "This scene was very probably edited."),
@@ -96,12 +79,7 @@ def share(part: float) -> str:
 
 
 def headline(verdict: float | None, tampered: int) -> str:
-    """State in one sentence whether the scene was edited.
-
-    Args:
-        verdict: Scene probability; None if the method gives none.
-        tampered: Number of Gaussians labelled as tampered.
-    """
+    """State in one sentence whether the scene was edited, by scene probability and label count."""
     if verdict is not None:
         return next(sentence for lowest, sentence in HEADLINES if verdict >= lowest)
     if tampered:
@@ -112,14 +90,14 @@ def headline(verdict: float | None, tampered: int) -> str:
 def labels_sentence(
     tampered: int, total: int, *, verdict: float | None, views: int, covered: float
 ) -> str:
-    """State how many Gaussians are labelled as tampered and how much of the views they cover.
+    """State how many of all Gaussians are labelled as tampered, and which share they cover.
 
     Args:
         tampered: Number of Gaussians labelled as tampered.
         total: Number of Gaussians.
         verdict: Scene probability; None if the method gives none.
         views: Number of views.
-        covered: Mean share of the pixels of a view that the labelled Gaussians cover.
+        covered: Mean share of the pixels of a view that is tampered.
     """
     count = f"{views} view{'' if views == 1 else 's'}"
     if not tampered:
@@ -150,12 +128,7 @@ def views_sentence(result: Result) -> str | None:
 
 
 def summary(located: Located, out: Path) -> list[str]:
-    """Summarise a run in a few lines for the terminal.
-
-    Args:
-        located: The run.
-        out: Folder with its results.
-    """
+    """Summarise a run, whose results are in the folder `out`, in a few lines for the terminal."""
     result = located.result
     seconds = {name: stage["seconds"] for name, stage in located.stages.items()}
     slowest = sorted(seconds, key=seconds.__getitem__, reverse=True)[:3]
@@ -190,7 +163,7 @@ def _verdict_lines(located: Located) -> list[str]:
 
 def _view_lines(result: Result) -> list[str]:
     counts = Counter(result.reliability.values())
-    kinds = [f"{counts[key]} {words.short}" for key, words in RELIABILITY.items() if counts[key]]
+    kinds = [f"{counts[key]} {name}" for key, (_, name, _) in RELIABILITY.items() if counts[key]]
     lines = [f"masks    {', '.join(kinds)}"] if kinds else []
     views = views_sentence(result)
     return [*lines, f"views    {views}"] if views else lines

@@ -47,15 +47,7 @@ class Contents:
 
 
 def viewer_contents(results: Results, *, most: int) -> tuple[Contents, list[str]]:
-    """Prepare results for a viewer.
-
-    Args:
-        results: Results of `locate`.
-        most: Maximum number of Gaussians.
-
-    Returns:
-        The contents, and notes for the user.
-    """
+    """Contents with at most `most` Gaussians, and notes for the user."""
     rows = largest(results.gaussians, most, first=results.labels)
     chosen = splats(results.gaussians.take(rows))
     means = np.asarray(results.gaussians.means)

@@ -1,4 +1,4 @@
-"""The panel of the served viewer: layer, threshold, background and cameras.
+"""The panel of the served viewer: layer, threshold and cameras.
 
 The splats are sent once. Layers differ in colours and opacities only, which are sent again when
 they change: with one node per layer the browser would store and sort all of them.
@@ -7,11 +7,9 @@ they change: with one node per layer the browser would store and sort all of the
 import threading
 from typing import TYPE_CHECKING, NamedTuple
 
-import numpy as np
-
 from gsc_jax.cli.viewer.contents import Contents, count_sentence, legend
 from gsc_jax.cli.viewer.poses import Pose
-from gsc_jax.cli.viewer.scene import CAMERAS, add_cameras, add_splats
+from gsc_jax.cli.viewer.scene import add_cameras, add_splats
 from gsc_jax.cli.viewer.splats import LAYERS, Layer, layer_colours
 
 if TYPE_CHECKING:
@@ -33,13 +31,6 @@ def add_viewer(server: "viser.ViserServer", contents: Contents) -> None:
     gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
     gui.add_markdown("\n\n".join(contents.sentences))
     add_layer_controls(server, contents)
-    background = gui.add_rgb("background", (0, 0, 0))
-
-    @background.on_update
-    def fill(_: object) -> None:
-        server.scene.set_background_image(np.full((1, 1, 3), background.value, np.uint8))
-
-    fill(None)
     _add_camera_controls(server, contents)
 
 
@@ -77,10 +68,8 @@ def _add_camera_controls(server: "viser.ViserServer", contents: Contents) -> Non
     """Draw the cameras; jump to them by name, one after the other, or by a click."""
     gui, poses = server.gui, contents.poses
     names = [pose.name for pose in poses]
-    frame = server.scene.add_frame(CAMERAS, show_axes=False)
     frustums = add_cameras(server, contents)
     with gui.add_folder("cameras"):
-        visible = gui.add_checkbox("visible", True)
         chosen = gui.add_dropdown("camera", names, initial_value=names[0])
         steps = gui.add_button_group("jump", ("previous", "here", "next"))
 
@@ -88,10 +77,6 @@ def _add_camera_controls(server: "viser.ViserServer", contents: Contents) -> Non
         if client is not None:
             chosen.value = names[index % len(names)]
             set_view(client, poses[index % len(names)])
-
-    @visible.on_update
-    def _(_: object) -> None:
-        frame.visible = visible.value
 
     @chosen.on_update
     def _(event: "viser.GuiEvent") -> None:

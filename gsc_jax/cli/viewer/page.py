@@ -15,14 +15,11 @@ from gsc_jax.cli.viewer.poses import Pose
 
 
 def viewer_page(client: str, contents: Contents) -> str:
-    """Render the page.
+    """Render a page that needs neither server nor network.
 
     Args:
         client: HTML of viser's client with the scene inside.
         contents: What the page shows.
-
-    Returns:
-        A complete HTML document that needs neither server nor network.
     """
     from jinja2 import Environment
 

@@ -14,7 +14,6 @@ from gsc_jax.cli.viewer.splats import (
 if TYPE_CHECKING:
     import viser
 
-CAMERAS = "/cameras"
 FRUSTUM_COLOUR = (255, 170, 0)
 FRUSTUM_PIXELS = 1.5
 
@@ -22,7 +21,7 @@ FRUSTUM_PIXELS = 1.5
 def add_cameras(
     server: "viser.ViserServer", contents: Contents
 ) -> "list[viser.CameraFrustumHandle]":
-    """Set the first view and draw the cameras, as children of the node `CAMERAS`."""
+    """Set the first view and draw the cameras."""
     first, start = server.initial_camera, contents.poses[0]
     server.scene.set_up_direction(contents.up)
     server.scene.world_axes.visible = False
@@ -30,7 +29,7 @@ def add_cameras(
     first.fov, first.near, first.far = start.fov, contents.near, contents.far
     return [
         server.scene.add_camera_frustum(
-            f"{CAMERAS}/{index}",
+            f"/cameras/{index}",
             fov=pose.fov,
             aspect=pose.aspect,
             scale=contents.frustum,

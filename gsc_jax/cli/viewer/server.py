@@ -57,7 +57,7 @@ def run_view(
         return [write_page(options.html, contents)], notes
     with serving(host=options.host, port=options.port) as server:
         add_viewer(server, contents)
-        for line in [*_addresses(options, server.get_port()), *notes, "end with Ctrl-C"]:
+        for line in (_address_line(options, server.get_port()), *notes, "end with Ctrl-C"):
             say(line)
         if not options.no_browser:
             webbrowser.open(_url(options.host, server.get_port()))
@@ -67,15 +67,7 @@ def run_view(
 
 
 def write_page(path: Path, contents: Contents) -> str:
-    """Write a page that needs neither server nor network, and describe it in a line.
-
-    Args:
-        path: The .html to write or to replace.
-        contents: What it shows.
-
-    Raises:
-        InputError: if the file cannot be written.
-    """
+    """Write a page that needs neither server nor network, and describe it in a line."""
     with serving(host="127.0.0.1", port=0) as server:
         add_layers(server, contents)
         add_cameras(server, contents)
@@ -87,15 +79,7 @@ def write_page(path: Path, contents: Contents) -> str:
 
 @contextlib.contextmanager
 def serving(*, host: str, port: int) -> Iterator["viser.ViserServer"]:
-    """Run a viser server inside a block.
-
-    Args:
-        host: Address to listen at.
-        port: Port to listen at, 0 for any; the next free one is used if it is taken.
-
-    Yields:
-        The server, still empty.
-    """
+    """Run an empty viser server inside a block; it uses the next free port if `port` is taken."""
     import rich
     import viser
 
@@ -134,12 +118,9 @@ def _check_address(host: str, port: int) -> None:
         raise InputError(f"--port {port}: expected a number from 0 to 65535")
 
 
-def _addresses(options: View, port: int) -> list[str]:
+def _address_line(options: View, port: int) -> str:
     note = f" (port {options.port} is taken)" if options.port not in (0, port) else ""
-    lines = [f"view     {_url(options.host, port)}{note}"]
-    if options.host in ALL_ADDRESSES:
-        lines.append(f"also     http://{socket.gethostname()}:{port} from other machines")
-    return lines
+    return f"view     {_url(options.host, port)}{note}"
 
 
 def _url(host: str, port: int) -> str:

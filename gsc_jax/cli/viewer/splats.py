@@ -55,15 +55,12 @@ def splats(gaussians: Gaussians) -> Splats:
 
 
 def largest(gaussians: Gaussians, count: int, *, first: np.ndarray) -> np.ndarray:
-    """Select the Gaussians of largest opacity times area.
+    """Rows of the Gaussians of largest opacity times area, ascending, shape (min(N, count),).
 
     Args:
         gaussians: N Gaussians.
         count: Maximum number of rows.
         first: Gaussians that precede all others unless they are invisible, shape (N,) bool.
-
-    Returns:
-        Rows, ascending, shape (min(N, count),) int64.
     """
     if count >= len(gaussians):
         return np.arange(len(gaussians))
@@ -85,16 +82,13 @@ def heat(score: Array) -> np.ndarray:
 def layer_colours(
     splats: Splats, score: Array, layer: Layer, threshold: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Colours and opacities of a layer.
+    """Colours (N, 3) and opacities (N, 1) of a layer; hidden splats have opacity 0.
 
     Args:
         splats: N splats in the colours of the scene.
         score: Scores, shape (N,).
         layer: The layer.
         threshold: Score above which a Gaussian is tampered.
-
-    Returns:
-        Colours (N, 3) and opacities (N, 1); hidden splats have opacity 0.
     """
     if layer == "original":
         return splats.rgbs, splats.opacities

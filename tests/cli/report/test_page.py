@@ -75,7 +75,7 @@ def test_every_number_of_the_result_is_on_the_page(folder: Path, page: Page):
         assert f"{wording.share(view['tampered_share'])} tampered" in page.text
         assert f"detector {wording.share(view['detector_share'])}" in page.text
     for kind in KINDS:
-        assert page.text.count(wording.RELIABILITY[kind].short) >= 3, "two views and one count"
+        assert page.text.count(wording.RELIABILITY[kind][1]) >= 3, "two views and one count"
     for key, value in {**report["config"], **report["versions"], "seed": 0}.items():
         assert f"{key} {value if isinstance(value, str) else json.dumps(value)}" in page.text
 
@@ -209,7 +209,7 @@ def test_degenerate_results_have_a_page(tmp_path: Path, changes: dict):
 def test_every_view_is_rendered_and_marked(tmp_path: Path):
     located, out = run(tmp_path, NAMES[:5]), tmp_path / "out"
     steps: list[tuple[str, int, int]] = []
-    monitor = Monitor(lambda *step: steps.append(step))
+    monitor = Monitor(progress=lambda *step: steps.append(step))
     write_results(out, located.scene, located.cameras, located.result, monitor=monitor)
     write_report(out, {"scene": "x"}, located, monitor=monitor)
     assert len([*(out / "render").iterdir()]) == len([*(out / "overlay").iterdir()]) == 5

@@ -223,7 +223,9 @@ def _from_attributes(estimator: Estimator, prior: Prior | None, monitor: Monitor
             "decide by the attributes of the Gaussians"
         )
     with monitor.stage("optimise"):
-        finding = estimate_from_attributes(prior, threshold=estimator.threshold)
+        finding = estimate_from_attributes(
+            prior, threshold=estimator.threshold, min_verdict=estimator.min_verdict
+        )
     return _Found(finding=finding, seen=prior.known, estimator=estimator)
 
 

@@ -95,6 +95,11 @@ class GSChecker:
         """Always 0: see `stops_early`."""
         return 0.0
 
+    @property
+    def min_verdict(self) -> float:
+        """Always 0: GS-Checker gives no scene probability."""
+        return 0.0
+
     def resolved(self, views: int) -> "GSChecker":
         """The estimator with the iteration at which the 3D loss joins filled in."""
         return dataclasses.replace(self, loop=resolved(self.loop, self.epochs * views))

@@ -125,6 +125,11 @@ class Estimator(Protocol):
         """Change of the labels by further views, as a share of their weight, that is accepted."""
         ...
 
+    @property
+    def min_verdict(self) -> float:
+        """Scene probability below which nothing is labelled."""
+        ...
+
     def estimate(self, observation: Observation, prior: Prior | None = None) -> Finding:
         """Compute scores and labels; deterministic for given fields.
 

@@ -1,6 +1,7 @@
 """Edits with exact truth: labelled rows differ, the others equal the original to the bit."""
 
 import dataclasses
+from typing import Any
 
 import jax
 import numpy as np
@@ -103,7 +104,7 @@ def test_the_original_is_not_changed():
 )
 def test_invalid_arguments_are_refused(edit, options, match):
     donors = {"vase": vase(), "three rows": vase().take(np.arange(3))}
-    given = {key: donors.get(value, value) for key, value in options.items()}
+    given: dict[str, Any] = {key: donors.get(value, value) for key, value in options.items()}
     with pytest.raises(ValueError, match=match):
         tamper(*room(), edit, **given)
 

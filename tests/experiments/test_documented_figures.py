@@ -2,7 +2,8 @@
 
 import pytest
 import runner
-from cases import calibrated_mixture, detector_masks, make_case
+from cases import detector_masks, make_case
+from detector_strengths import scaled
 from methods import ALL_METHODS
 from observations import observe_regimes
 from tables import read_csv, where
@@ -20,7 +21,8 @@ def test_documented_figures_come_out_of_the_code(edit, regime):
     documented = where(read_csv(runner.DOCS / "editing.csv"), scene="room", edit=edit, seed=0)
     documented = where(documented, regime=regime).set_index("method")
     case = make_case("room", edit, 0)
-    failures = calibrated_mixture(case) if regime == "mixture" else REGIMES[regime]
+    strength = documented.mixture_strength.iloc[0] if regime == "mixture" else 1.0
+    failures = scaled(REGIMES[regime], strength)
     observed = observe_regimes(case, detector_masks(case, {regime: failures}))
     rows = list(runner.judge(observed, {name: ALL_METHODS[name] for name in METHODS}))
     assert [row["method"] for row in rows] == [*runner.REFERENCE, *METHODS]

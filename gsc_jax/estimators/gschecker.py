@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from gsc_jax.estimators.protocol import DISAGREEMENT, Finding, Prior, unanimous
+from gsc_jax.estimators.protocol import DISAGREEMENT, Estimator, Finding, Prior, unanimous
 from gsc_jax.evidence.masks import MaskRule, normalise
 from gsc_jax.evidence.observation import Observation
 from gsc_jax.loop import LoopConfig, fit, fit_rendered, resolved, view_order
@@ -31,7 +31,7 @@ ATTRIBUTES = {
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class GSChecker:
+class GSChecker(Estimator):
     """GS-Checker; the defaults follow the equations of the paper.
 
     Attributes:
@@ -80,28 +80,8 @@ class GSChecker:
                 f"{self.epochs}, {self.threshold} and {self.near}"
             )
 
-    @property
-    def uses_prior(self) -> bool:
-        """Always false: GS-Checker uses masks only."""
-        return False
-
-    @property
-    def stops_early(self) -> bool:
-        """Always false: the votes of all views count."""
-        return False
-
-    @property
-    def tolerance(self) -> float:
-        """Always 0: see `stops_early`."""
-        return 0.0
-
-    @property
-    def min_verdict(self) -> float:
-        """Always 0: GS-Checker gives no scene probability."""
-        return 0.0
-
     def resolved(self, views: int) -> "GSChecker":
-        """The estimator with the iteration at which the 3D loss joins filled in."""
+        """Fill in the iteration at which the 3D loss joins."""
         return dataclasses.replace(self, loop=resolved(self.loop, self.epochs * views))
 
     def estimate(self, observation: Observation, prior: Prior | None = None) -> Finding:

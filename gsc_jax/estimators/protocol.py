@@ -1,7 +1,8 @@
 """The interface of an estimator: evidence and a prior in, scores and labels out."""
 
+import abc
 import dataclasses
-from typing import Any, ClassVar, Literal, Protocol
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
@@ -80,56 +81,40 @@ class Finding:
     warnings: list[str]
 
 
-class Estimator(Protocol):
-    """An estimator of tampered Gaussians: a frozen dataclass whose fields are its configuration."""
+class Estimator(abc.ABC):
+    """Interface of estimators: frozen dataclasses whose fields are their configuration.
+
+    Attributes:
+        name: Name of the method in results.
+        threshold: Score above which a Gaussian is labelled.
+        mask_rule: How labels become the mask of a view.
+        near: Near plane in world units.
+        seed: Seed of everything random.
+        tolerance: With a network as detector, views are added until they change less than this
+            share of the labelled weight; 0 uses all views.
+        min_verdict: Scene probability below which nothing is labelled.
+    """
 
     __dataclass_fields__: ClassVar[dict[str, Any]]
-
-    @property
-    def name(self) -> str:
-        """Name of the method in results."""
-        ...
-
-    @property
-    def threshold(self) -> float:
-        """Score above which a Gaussian is labelled."""
-        ...
-
-    @property
-    def mask_rule(self) -> MaskRule:
-        """How labels become the mask of a view."""
-        ...
-
-    @property
-    def near(self) -> float:
-        """Near plane in world units."""
-        ...
-
-    @property
-    def seed(self) -> int:
-        """Seed of everything random."""
-        ...
+    name: str
+    threshold: float
+    mask_rule: MaskRule
+    near: float
+    seed: int
+    tolerance: float = 0.0
+    min_verdict: float = 0.0
 
     @property
     def uses_prior(self) -> bool:
         """Whether a prior changes the finding."""
-        ...
+        return False
 
     @property
     def stops_early(self) -> bool:
         """Whether views may be left out once the labels are stable."""
-        ...
+        return self.tolerance > 0
 
-    @property
-    def tolerance(self) -> float:
-        """Change of the labels by further views, as a share of their weight, that is accepted."""
-        ...
-
-    @property
-    def min_verdict(self) -> float:
-        """Scene probability below which nothing is labelled."""
-        ...
-
+    @abc.abstractmethod
     def estimate(self, observation: Observation, prior: Prior | None = None) -> Finding:
         """Compute scores and labels; deterministic for given fields.
 
@@ -137,11 +122,11 @@ class Estimator(Protocol):
             observation: Evidence and votes of V views of N Gaussians.
             prior: Probability per Gaussian from another source.
         """
-        ...
 
-    def resolved(self, views: int) -> "Estimator":
+    def resolved(self, views: int) -> Self:
         """The estimator with defaults that depend on the number of views filled in."""
-        ...
+        del views
+        return self
 
 
 def unanimous(evidence: Evidence) -> Finding | None:

@@ -17,7 +17,7 @@ import typing
 
 import numpy as np
 
-from gsc_jax.estimators.protocol import Finding, Prior, unanimous
+from gsc_jax.estimators.protocol import Estimator, Finding, Prior, unanimous
 from gsc_jax.estimators.robust import diagnostics
 from gsc_jax.estimators.robust.class_roles import Roles, assign_roles, scene_probability
 from gsc_jax.estimators.robust.latent_classes import Fit, fit_classes
@@ -46,7 +46,7 @@ RANGES: dict[str, tuple[float, float]] = {
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class RobustEstimator:
+class RobustEstimator(Estimator):
     """Latent classes of Gaussians, with the reliability of every mask inferred.
 
     The defaults were chosen on seeds 10 and 11 of the development scenes; the tables in
@@ -113,16 +113,6 @@ class RobustEstimator:
     def uses_prior(self) -> bool:
         """Whether a prior changes the finding."""
         return self.prior_weight > 0
-
-    @property
-    def stops_early(self) -> bool:
-        """Whether views may be left out once the labels are stable."""
-        return self.tolerance > 0
-
-    def resolved(self, views: int) -> "RobustEstimator":
-        """The estimator itself: no default depends on the number of views."""
-        del views
-        return self
 
     def estimate(self, observation: Observation, prior: Prior | None = None) -> Finding:
         """Compute scores, labels, the scene probability and the reliability of every mask.

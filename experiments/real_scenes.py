@@ -147,7 +147,7 @@ def table(rows: Frame) -> str:
             spread = f" ± {means.std(ddof=0):.2f}" if len(means) > 1 else ""
             cells.append(f"{means.mean():.2f}{spread}" if len(means) else "-")
         lines.append([method, *cells])
-    heads = ["method", "F1 held out", "IoU", "precision", "recall", "F1 looked at"]
+    heads = ["method", "F1 held out", "IoU", "precision", "recall", "F1 observed"]
     return markdown(heads, lines)
 
 

@@ -120,13 +120,13 @@ def locate(
     warnings = [*check_views(gaussians, cameras, near=estimator.near), *_unusable(gaussians)]
     _check_names(cameras)
     gaussians = jax.tree.map(jnp.asarray, gaussians)
-    evidence = _prior(gaussians, estimator, prior, monitor)
-    if detector is None:
+    evidence = _prior(gaussians, estimator, prior, monitor)  # attributes -> prior
+    if detector is None:  # prior -> decide
         found = _from_attributes(estimator, evidence, monitor)
-    else:
+    else:  # cameras -> render -> detect -> vote and lift -> optimise -> decide
         found = _from_views(gaussians, cameras, as_detector(detector), estimator, evidence, monitor)
     finding, estimator = found.finding, found.estimator
-    masks = _view_masks(gaussians, cameras, finding, estimator, monitor)
+    masks = _view_masks(gaussians, cameras, finding, estimator, monitor)  # labels -> masks
     if not estimator.uses_prior:
         warnings += _unconfirmed(found.flagged, masks)
     return Result(
@@ -200,8 +200,10 @@ def _from_views(
             gaussians, chosen, detector, estimator, prior=prior, monitor=monitor
         )
     else:
+        # Render (eq. 4), detect, vote (eq. 5), lift the masks to evidence (eq. 9 and 10) ...
         observation = observe(gaussians, chosen, detector, near=estimator.near, monitor=monitor)
         with monitor.stage("optimise"):
+            # ... initial attribute (eq. 6), optimise (eq. 7 to 12), decide.
             finding = estimator.estimate(observation, prior)
     return _Found(
         finding=finding,

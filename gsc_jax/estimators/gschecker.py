@@ -95,7 +95,9 @@ class GSChecker(Estimator):
             The finding. It is defined also if all masks are empty or full, where the attribute
             means nothing.
         """
-        attribute, group_sizes = self._optimise(observation)
+        r = self.initial_attribute(observation)  # eq. 5 and 6
+        F = ATTRIBUTES[self.attributes](observation.gaussians)  # what eq. 7 compares
+        attribute, group_sizes = self._optimise(observation, r, F)  # eq. 7 to 12
         finding = unanimous(observation.evidence)
         if finding is None:
             finding = self._decide(attribute, group_sizes, observation.evidence.seen)
@@ -116,10 +118,11 @@ class GSChecker(Estimator):
         seen = observation.evidence.seen
         return np.where(seen, CONSENSUS[self.consensus](observation.votes), np.float32(0))
 
-    def _optimise(self, observation: Observation) -> tuple[np.ndarray, np.ndarray]:
+    def _optimise(
+        self, observation: Observation, r: Array, F: Array
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Raw attribute (N,), and group sizes of all iterations."""
-        cameras, r = observation.cameras, self.initial_attribute(observation)
-        F: Array = ATTRIBUTES[self.attributes](observation.gaussians)
+        cameras = observation.cameras
         order = view_order(len(cameras), epochs=self.epochs, shuffle=self.shuffle, seed=self.seed)
 
         def view_of(index: int) -> tuple[View, np.ndarray]:

@@ -6,7 +6,7 @@ views without the object; that rule is available as `per-view` for comparison.
 """
 
 import dataclasses
-from typing import Literal, Protocol
+from typing import Literal, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -23,21 +23,16 @@ MIN_COVERAGE = 0.1
 
 
 class Scored(Protocol):
-    """Anything with scores and labels of N Gaussians."""
+    """Scores `tamper` in [0, 1] and boolean `labels` of N Gaussians, shapes (N,)."""
 
     @property
-    def tamper(self) -> np.ndarray:
-        """Scores in [0, 1], shape (N,)."""
-        ...
+    def tamper(self) -> np.ndarray: ...  # noqa: D102
 
     @property
-    def labels(self) -> np.ndarray:
-        """Labelled Gaussians, shape (N,) bool."""
-        ...
+    def labels(self) -> np.ndarray: ...  # noqa: D102
 
 
-@dataclasses.dataclass(frozen=True)
-class Labelled:
+class Labelled(NamedTuple):
     """Scores and labels as arrays, for `view_mask`."""
 
     tamper: np.ndarray

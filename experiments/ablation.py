@@ -17,8 +17,19 @@ import numpy as np
 from cases import Case, calibrated_mixture, detector_masks
 from methods import labelled, predict_with, without_3d
 from observations import CaseObservation, Method, Prediction, observe_regimes
-from runner import REFERENCE, TRUTH, Args, judge, measured, start
-from tables import Frame, Row, differences, markdown, pivot, where, write_section
+from runner import Args, judge, measured, start
+from tables import (
+    REFERENCE,
+    TRUTH,
+    Frame,
+    Row,
+    differences,
+    markdown,
+    pivot,
+    where,
+    with_columns,
+    write_section,
+)
 
 from gsc_jax.benchmark.metrics import mean_over_tampered_views
 from gsc_jax.benchmark.simulate import REGIMES
@@ -124,13 +135,11 @@ def report(rows: Frame) -> str:
         [
             "**F1 by kind of edit, mixture of failures** (last column: the paper's Table 3, F1 / "
             "IoU, from other scenes and another detector)",
-            pivot(
-                mixture, "method", "edit", reference=REFERENCE, extra={"paper, all edits": QUOTED}
-            ),
+            with_columns(pivot(mixture, "method", "edit"), {"paper, all edits": QUOTED}),
             "**F1 minus that of the same method unchanged, case by case, mixture**",
             changes(mixture),
             "**F1 by masks**",
-            pivot(rows, "method", "regime", reference=REFERENCE, total=False),
+            pivot(rows, "method", "regime", total=False),
             "**F1 by the rule that makes masks of labels, mixture of failures**",
             pivot(where(rules, regime="mixture"), "method", "rule", best=None, total=False),
         ]

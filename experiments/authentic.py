@@ -19,8 +19,8 @@ from cases import Case, detector_masks, without_edit
 from matplotlib import pyplot as plt
 from methods import ALL_METHODS, if_called_tampered
 from observations import Method, observe_regimes
-from runner import ITSELF, TRUTH, ChosenArgs, judge, measured, start
-from tables import Frame, Row, pivot, where, write_section
+from runner import ChosenArgs, judge, measured, start
+from tables import TRUTH, Frame, Row, pivot, where, write_section
 
 from gsc_jax.benchmark.simulate import REGIMES
 
@@ -44,7 +44,7 @@ def rows_of(case: Case, methods: Mapping[str, Method]) -> list[Row]:
 
 def report(rows: Frame) -> str:
     """All tables."""
-    table = functools.partial(pivot, rows, "method", "regime", best="min", reference=(ITSELF,))
+    table = functools.partial(pivot, rows, "method", "regime", best="min")
     return "\n\n".join(
         [
             "**Authentic scenes: percentage of the held-out pixels flagged** (less is better; F1 "

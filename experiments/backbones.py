@@ -18,7 +18,7 @@ from detector_strengths import PROFILES
 from difference import DifferenceDetector
 from methods import ALL_METHODS
 from observations import Method, observe_regimes
-from runner import REFERENCE, ChosenArgs, judge, measured, start
+from runner import ChosenArgs, judge, measured, start
 from tables import Frame, Row, pivot, write_section
 
 from gsc_jax.detectors.onnx import OnnxDetector, OnnxSpec
@@ -70,9 +70,9 @@ def report(rows: Frame) -> str:
             "shown, the others are scored on held-out views; a network that was given with "
             "`--onnx` has a column of its name. `difference` has the original scene, which no "
             "forensic detector has; it shows the effect of lifting on good masks.",
-            pivot(rows, "method", "regime", reference=REFERENCE),
+            pivot(rows, "method", "regime"),
             "**F1 by kind of edit, all detectors**",
-            pivot(rows, "method", "edit", reference=REFERENCE),
+            pivot(rows, "method", "edit"),
         ]
     )
 

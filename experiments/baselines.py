@@ -103,22 +103,21 @@ def sa3d(
             agrees &= np.asarray(overlap(view, np.reshape(r, shape))) >= MIN_OVERLAP
         if agrees.any():
             seen = evidence.total[view], sets[:, view]
-            r, moments = _sa3d_step(r, moments, kept, agrees, *seen, price, learning_rate)
+            r, moments = _sa3d_step((r, moments), kept, agrees, *seen, price, learning_rate)
     return np.reshape(r, shape)
 
 
 @jax.jit
-@functools.partial(jax.vmap, in_axes=(0, 0, 0, 0, None, 0, None, None))
-def _sa3d_step(r, moments, kept, agrees, total, tampered, price, learning_rate):
+@functools.partial(jax.vmap, in_axes=(0, 0, 0, None, 0, None, None))
+def _sa3d_step(state, kept, agrees, total, tampered, price, learning_rate):
+    r, moments = state
     evidence = Evidence(total=total, tampered=tampered)
     loss = functools.partial(loss_2d_from_evidence, evidence=evidence, lambda2=price)
     # Adam's bias correction raises a float to an integer power, which strict promotion refuses.
     with jax.numpy_dtype_promotion("standard"):
         updates, stepped = adam(learning_rate).update(jax.grad(loss)(r), moments)
     moved = jnp.where(kept, r + updates, r)
-    return jax.tree.map(
-        lambda new, old: jnp.where(agrees, new, old), (moved, stepped), (r, moments)
-    )
+    return jax.tree.map(lambda new, old: jnp.where(agrees, new, old), (moved, stepped), state)
 
 
 def flashsplat(evidence: Evidence, *, gamma: float = 0.0) -> np.ndarray:

@@ -18,8 +18,7 @@ from detector_strengths import calibrated
 from garden import garden_cameras, make_garden
 
 from gsc_jax import load_cameras, load_ply
-from gsc_jax.benchmark.baseline import inverse_projection
-from gsc_jax.benchmark.metrics import mean_over_tampered_views, truth_mask
+from gsc_jax.benchmark.metrics import inverse_projection, mean_over_tampered_views, truth_mask
 from gsc_jax.benchmark.scenes import make_object, make_room, room_cameras
 from gsc_jax.benchmark.simulate import REGIMES, Failures, decoy_labels, simulate
 from gsc_jax.benchmark.tamper import Edit, Tampered, tamper
@@ -153,12 +152,10 @@ def make_case(name: str, edit: Edit, seed: int, data: Path = DATA) -> Case:
 def edit_scene(name: str, edit: Edit, seed: int, data: Path = DATA) -> Tampered:
     """Edit a scene with a seed, or with that plus 100, 200 or 300 if there is no place for it."""
     scene = load_scene(name, data)
-    pasted = donor(scene, seed, data) if edit == "incorporation" else None
+    change = donor(scene, seed, data) if edit == "incorporation" else edit
     for retry in range(RETRIES + 1):
         try:
-            return tamper(
-                scene.gaussians, scene.cameras, edit, donor=pasted, seed=seed + 100 * retry
-            )
+            return tamper(scene.gaussians, scene.cameras, change, seed=seed + 100 * retry)
         except InputError:
             if retry == RETRIES:
                 raise

@@ -5,8 +5,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from gsc_jax.benchmark.incorporation import extent, foot_of, rotation_between, transformed
-from gsc_jax.benchmark.regions import OBJECT_CONTRAST, draw_seeds, grow_region
-from gsc_jax.benchmark.tamper import EDITS, visibility_of
+from gsc_jax.benchmark.regions import (
+    OBJECT_CONTRAST,
+    draw_seeds,
+    grow_region,
+    measure_visibility,
+)
+from gsc_jax.benchmark.tamper import EDITS
 from gsc_jax.render.projection import NEAR
 from gsc_jax.scene import Camera, Gaussians
 
@@ -35,7 +40,7 @@ def cut_object(
         InputError: if the cameras do not see the scene.
     """
     rng = np.random.default_rng([seed, len(EDITS)])
-    visibility = visibility_of(gaussians, cameras, near=near)
+    visibility = measure_visibility(gaussians, cameras, near=near)
     regions = [
         grow_region(gaussians, visibility, row, OBJECT_SIZE, contrast=OBJECT_CONTRAST)
         for row in draw_seeds(visibility, CANDIDATES, rng)

@@ -8,7 +8,6 @@ between 0.1 and 0.4, as in the paper. All methods get the same evidence and are 
 views: a pixel is flagged where labelled Gaussians have more than half of its blending weight.
 """
 
-import functools
 from collections.abc import Mapping
 
 import charts
@@ -16,8 +15,19 @@ import numpy as np
 from cases import Case, calibrated_mixture, detector_masks
 from methods import ALL_METHODS, sagd
 from observations import Method, observe_regimes
-from runner import ITSELF, REFERENCE, ChosenArgs, judge, measured, start
-from tables import Frame, Row, differences, markdown, pivot, where, write_section
+from runner import ChosenArgs, judge, measured, start
+from tables import (
+    ITSELF,
+    REFERENCE,
+    Frame,
+    Row,
+    differences,
+    markdown,
+    pivot,
+    where,
+    with_columns,
+    write_section,
+)
 
 from gsc_jax.benchmark.simulate import REGIMES
 
@@ -92,7 +102,6 @@ def margins(rows: Frame) -> str:
 
 def report(rows: Frame) -> str:
     """All tables."""
-    table = functools.partial(pivot, reference=REFERENCE)
     mixture = where(rows, regime="mixture")
     rows = rows[rows.method != BOUNDARY]
     # Scores per Gaussian do not depend on the rule that renders masks.
@@ -106,24 +115,24 @@ def report(rows: Frame) -> str:
         [
             "**F1 by kind of edit, mixture of failures** (the paper's Table 1; its figures are "
             "from other scenes and another detector)",
-            table(mixture, "method", "edit", extra=quoted),
+            with_columns(pivot(mixture, "method", "edit"), quoted),
             "**The same case by case**: the spread above is that over seeds of means over all "
             "scenes, and small beside that over cases",
             by_case(mixture),
             "**IoU by kind of edit, mixture of failures**",
-            table(mixture, "method", "edit", metric="iou"),
+            pivot(mixture, "method", "edit", metric="iou"),
             calibration(mixture),
             "**F1 by failure of the detector**",
-            table(rows, "method", "regime"),
+            pivot(rows, "method", "regime"),
             "**F1 of `robust` minus that of each method, case by case and failure by failure**",
             margins(rows),
             "**F1 by scene, all failures**",
-            table(rows, "method", "scene"),
+            pivot(rows, "method", "scene"),
             "**F1 per Gaussian, weighted by opacity, by failure**",
-            table(of_gaussians, "method", "regime", metric="f1_gaussians"),
+            pivot(of_gaussians, "method", "regime", metric="f1_gaussians"),
             "**AUC per Gaussian, by failure** (the votes share a score: the share of tampered "
             "among the votes cast)",
-            table(of_gaussians, "method", "regime", metric="auc"),
+            pivot(of_gaussians, "method", "regime", metric="auc"),
         ]
     )
 

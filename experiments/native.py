@@ -22,8 +22,9 @@ from export import exported
 from matplotlib import pyplot as plt
 from methods import ALL_METHODS, seeded
 from observations import CaseObservation, Prediction, observe_regimes
-from runner import REFERENCE, TRUTH, Args, heldout_masks, judge, measured, scores, start
-from tables import Row, markdown, pivot, where, write_section
+from runner import Args, heldout_masks, judge, measured, scores, start
+from scipy.special import expit
+from tables import TRUTH, Row, markdown, pivot, where, write_section
 
 from gsc_jax.benchmark.metrics import auc, false_positive_area
 from gsc_jax.benchmark.simulate import REGIMES, Failures
@@ -98,7 +99,7 @@ def _alone(case: Case, evidence: ForensicEvidence) -> Iterator[Row]:
         names = " ".join(trace.name for trace in own.traces if trace.found)
         row = {**case.key, "export": "", "regime": NO_MASKS, "method": name}
         row |= {"verdict": own.verdict, "traces": names, "donor": pasted}
-        row["ece"] = calibration_error(own.unconditional_probability, case.labels)
+        row["ece"] = calibration_error(expit(own.log_odds), case.labels)
         if case.labels.any():
             yield row | scores(case, prediction, mask)
         else:
@@ -186,7 +187,7 @@ def _tables_with_masks(rows: pd.DataFrame) -> list[str]:
     fresh, saved = (where(edited[edited.regime != NO_MASKS], export=name) for name in EXPORTS)
     mixture = where(saved, regime="mixture")
     flagged = _named(authentic).assign(flagged=100 * authentic.false_area)
-    lifted = functools.partial(pivot, digits=3, reference=REFERENCE)
+    lifted = functools.partial(pivot, digits=3)
     return [
         "**Was anything edited? AUC of the verdict**, edited against authentic scenes",
         verdicts(rows),

@@ -21,8 +21,7 @@ from methods import seeded
 from tables import Frame, Row, markdown, where, write_csv, write_section
 
 from gsc_jax import FolderDetector, load_cameras, load_ply, rendered_share, view_mask
-from gsc_jax.benchmark.baseline import inverse_projection
-from gsc_jax.benchmark.metrics import confusion
+from gsc_jax.benchmark.metrics import confusion, inverse_projection
 from gsc_jax.estimators import RobustEstimator
 from gsc_jax.estimators.gschecker import OFFICIAL, PAPER
 from gsc_jax.estimators.protocol import Estimator

@@ -22,8 +22,8 @@ from difference import DifferenceDetector
 from distort import DISTORTIONS
 from methods import ALL_METHODS
 from observations import Method, observe_regimes
-from runner import REFERENCE, ChosenArgs, judge, measured, start
-from tables import Frame, Row, pivot, where, write_section
+from runner import ChosenArgs, judge, measured, start
+from tables import Frame, Row, pivot, where, with_columns, write_section
 
 PAPER = {
     "none": {"SA3D": 0.8348, "GS-Checker paper": 0.9017},
@@ -68,9 +68,7 @@ def quoted(names: Iterable[str]) -> dict[str, dict[str, str]]:
 
 def report(rows: Frame) -> str:
     """All tables, with the figures of the paper."""
-    table = functools.partial(
-        pivot, down="method", across="distortion", total=False, reference=REFERENCE
-    )
+    table = functools.partial(pivot, down="method", across="distortion", total=False)
     compared, simulated = (where(rows, regime=regime) for regime in ("difference", "mixture"))
     return "\n\n".join(
         [
@@ -80,10 +78,10 @@ def report(rows: Frame) -> str:
             "can help this detector: it lifts weak differences above its threshold.",
             "**F1 on modifications, the detector is given the distorted renders** (the paper's "
             "Table 2; its figures are from other scenes, another detector and unknown strengths)",
-            table(compared, extra=quoted(PAPER)),
+            with_columns(table(compared), quoted(PAPER)),
             "**F1 on modifications, mixture of failures, the masks unaffected by the distortion** "
             "of the model that they are lifted through",
-            table(simulated, extra=quoted(simulated.distortion.unique())),
+            with_columns(table(simulated), quoted(simulated.distortion.unique())),
         ]
     )
 

@@ -20,7 +20,7 @@ import tyro
 from cases import DATA, QUICK, Case, available, make_case
 from methods import ALL_METHODS, labelled
 from observations import CaseObservation, Method, Prediction
-from tables import Frame, Row, read_csv, write_csv
+from tables import ITSELF, REFERENCE, TRUTH, Frame, Row, read_csv, write_csv
 from tqdm import tqdm
 
 from gsc_jax.benchmark.metrics import (
@@ -39,12 +39,6 @@ from gsc_jax.splat import composite_with_alpha
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 CHANNELS = 32
 """Predictions composited at once."""
-ITSELF = "the detector itself"
-"""Masks of the detector on the views that it was shown: lifting should improve on them."""
-TRUTH = "true labels"
-"""Upper bound: 1 by definition, unless the model is distorted before it is observed."""
-REFERENCE = (ITSELF, TRUTH)
-"""Rows that are not methods."""
 SAME = 2e-3
 """Largest difference of the F1 of these rows between machines."""
 CASE_KEYS = ["scene", "edit", "seed", "regime"]

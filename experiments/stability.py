@@ -19,8 +19,8 @@ from cases import Case, detector_masks, reduced
 from detector_strengths import scaled
 from methods import ALL_METHODS
 from observations import observe_regimes
-from runner import REFERENCE, FewArgs, judge, measured, start
-from tables import Frame, Row, markdown, where, write_section
+from runner import FewArgs, judge, measured, start
+from tables import REFERENCE, Frame, Row, markdown, where, write_section
 
 from gsc_jax.benchmark.metrics import truth_mask
 from gsc_jax.benchmark.simulate import REGIMES, Failures

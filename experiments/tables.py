@@ -13,6 +13,12 @@ Row = dict[str, Any]
 Frame = Any
 """`pandas.DataFrame`: its own annotations are too loose for a static checker."""
 Best = Literal["max", "min"]
+ITSELF = "the detector itself"
+"""Masks of the detector on the views that it was shown: lifting should improve on them."""
+TRUTH = "true labels"
+"""Upper bound: 1 by definition, unless the model is distorted before it is observed."""
+REFERENCE = (ITSELF, TRUTH)
+"""Rows that are not methods."""
 
 
 def write_csv(path: Path, rows: Frame) -> None:
@@ -72,8 +78,6 @@ def pivot(
     metric: str = "f1",
     total: bool = True,
     best: Best | None = "max",
-    extra: Mapping[str, Mapping[str, str]] | None = None,
-    reference: Sequence[str] = (),
     digits: int = 2,
 ) -> str:
     """Tabulate mean and standard deviation over seeds of a metric, the best per column in bold.
@@ -84,12 +88,10 @@ def pivot(
         across: Column whose values are the columns of the table.
         metric: Column to average.
         total: Add the mean over all columns.
-        best: Whether the largest or the smallest mean is set in bold; None for none.
-        extra: Further columns of texts, by heading and row.
-        reference: Rows that are never set in bold.
+        best: Whether the largest or the smallest mean is set in bold, except in the rows
+            `REFERENCE`; None for none.
         digits: Decimal places.
     """
-    extra = extra or {}
     columns = {str(c): where(rows, **{across: c}) for c in rows[across].unique()}
     if total:
         columns["mean"] = rows
@@ -98,18 +100,25 @@ def pivot(
         groups = own.groupby(down, sort=False)
         cells: Frame = pd.DataFrame({"mean": groups[metric].mean(), "seeds": groups.seed.nunique()})
         cells["spread"] = [spread(group, metric) for _, group in groups]
-        contest = cells["mean"].drop(list(reference), errors="ignore").dropna()
+        contest = cells["mean"].drop(list(REFERENCE), errors="ignore").dropna()
         winner = getattr(contest, best)() if best and len(contest) else None
         table[column] = {
-            name: _cell(cell, None if name in reference else winner, digits)
+            name: _cell(cell, None if name in REFERENCE else winner, digits)
             for name, cell in cells.iterrows()
         }
     lines = [
-        [name, *(cells.get(name, "-") for cells in table.values())]
-        + [texts.get(name, "") for texts in extra.values()]
-        for name in rows[down].unique()
+        [name, *(cells.get(name, "-") for cells in table.values())] for name in rows[down].unique()
     ]
-    return markdown([down, *table, *extra], lines)
+    return markdown([down, *table], lines)
+
+
+def with_columns(table: str, columns: Mapping[str, Mapping[str, str]]) -> str:
+    """Append columns of texts, by heading and row, to a table in Markdown."""
+    heads, dashes, *lines = table.splitlines()
+    for head, texts in columns.items():
+        heads, dashes = f"{heads} {head} |", f"{dashes} --- |"
+        lines = [f"{line} {texts.get(line.split('|')[1].strip(), '')} |" for line in lines]
+    return "\n".join([heads, dashes, *lines])
 
 
 def _cell(cell: Any, winner: float | None, digits: int) -> str:

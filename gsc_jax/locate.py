@@ -4,7 +4,7 @@ The steps, in the terms of GS-Checker (section 3), and where each is:
 
 1. render every view (eq. 4), run the 2D detector on it, cast the votes of its mask (eq. 5) and lift
    the mask to evidence, which replaces rendering in eq. 9 and 10: `evidence.observation.observe`;
-2. compute the initial attribute from the votes (eq. 6), optimise it with the 2D and the 3D loss
+2. compute the initial attribute from these votes (eq. 6), optimise it with the 2D and the 3D loss
    (eq. 7 to 12), apply the threshold: `GSChecker.estimate`, with `vote`, `losses` and `loop`.
    `RobustEstimator.estimate` infers the reliability of every mask instead, and fuses the masks with
    the evidence from the attributes (`forensics.evidence`); without a detector, that evidence
@@ -120,27 +120,27 @@ def locate(
     warnings = [*check_views(gaussians, cameras, near=estimator.near), *_unusable(gaussians)]
     _check_names(cameras)
     gaussians = jax.tree.map(jnp.asarray, gaussians)
-    evidence = _prior(gaussians, estimator, prior, monitor)  # attributes -> prior
+    known = _prior(gaussians, estimator, prior, monitor)  # attributes -> prior
     if detector is None:  # prior -> decide
-        found = _from_attributes(estimator, evidence, monitor)
+        found = _from_attributes(estimator, known, monitor)
     else:  # cameras -> render -> detect -> vote and lift -> optimise -> decide
-        found = _from_views(gaussians, cameras, as_detector(detector), estimator, evidence, monitor)
+        found = _from_views(gaussians, cameras, as_detector(detector), estimator, known, monitor)
     finding, estimator = found.finding, found.estimator
     masks = _view_masks(gaussians, cameras, finding, estimator, monitor)  # labels -> masks
-    if not estimator.uses_prior:
+    if finding.verdict is None:  # `robust` explains disagreement by the reliability of masks
         warnings += _unconfirmed(found.flagged, masks)
     return Result(
         tamper=finding.tamper,
         labels=finding.labels,
         attribute=finding.attribute,
         verdict=finding.verdict,
-        reliability=dict(zip(found.views, finding.reliability, strict=False)),
+        reliability=dict(zip(found.views, finding.reliability, strict=bool(finding.reliability))),
         masks=masks,
         probabilities=found.probabilities,
         seen=found.seen,
         group_sizes=finding.group_sizes,
         early_stopping=found.early_stopping,
-        prior=evidence if estimator.uses_prior else None,
+        prior=known if estimator.uses_prior else None,
         estimator=estimator,
         stages=monitor.summary(),
         seconds=monitor.elapsed(),
@@ -170,8 +170,8 @@ def _prior(
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class _Found:
-    """A finding and its origin, without the evidence, which is the largest object of a run."""
+class _Estimated:
+    """A finding and what else the result needs; the evidence, the largest object, is released."""
 
     finding: Finding
     seen: np.ndarray
@@ -190,10 +190,10 @@ def _from_views(
     estimator: Estimator,
     prior: Prior | None,
     monitor: Monitor,
-) -> _Found:
+) -> _Estimated:
     """Observe the views and estimate, with all views or until the labels are stable."""
     chosen = detector.select(cameras)
-    estimator, stop = estimator.resolved(len(chosen)), None
+    estimator, stop = estimator.for_views(len(chosen)), None
     # Masks from files cost nothing; each view of a network takes seconds.
     if estimator.stops_early and detector.needs_image:
         observation, finding, stop = observe_until_stable(
@@ -205,7 +205,7 @@ def _from_views(
         with monitor.stage("optimise"):
             # ... initial attribute (eq. 6), optimise (eq. 7 to 12), decide.
             finding = estimator.estimate(observation, prior)
-    return _Found(
+    return _Estimated(
         finding=finding,
         seen=observation.evidence.seen,
         estimator=estimator,
@@ -217,7 +217,7 @@ def _from_views(
     )
 
 
-def _from_attributes(estimator: Estimator, prior: Prior | None, monitor: Monitor) -> _Found:
+def _from_attributes(estimator: Estimator, prior: Prior | None, monitor: Monitor) -> _Estimated:
     """Estimate from the attributes of the Gaussians alone."""
     if not (estimator.uses_prior and isinstance(prior, ForensicEvidence)):
         raise ValueError(
@@ -228,7 +228,7 @@ def _from_attributes(estimator: Estimator, prior: Prior | None, monitor: Monitor
         finding = estimate_from_attributes(
             prior, threshold=estimator.threshold, min_verdict=estimator.min_verdict
         )
-    return _Found(finding=finding, seen=prior.known, estimator=estimator)
+    return _Estimated(finding=finding, seen=prior.known, estimator=estimator)
 
 
 def _view_masks(
@@ -260,8 +260,8 @@ def _unconfirmed(flagged: Mapping[str, np.ndarray], masks: Mapping[str, np.ndarr
     if not 0 < final < MIN_CONFIRMED * by_detector:
         return []
     return [
-        f"The detector flags {by_detector:.1%} of all pixels, of which {final:.2%} are confirmed: "
-        "its masks disagree. A smaller lambda2, or the method robust, tolerates more disagreement."
+        f"The detector flags {by_detector:.1%} of all pixels, the final masks cover {final:.2%}, "
+        "since its masks disagree. A smaller lambda2, or the method robust, tolerates more of that."
     ]
 
 

@@ -6,7 +6,6 @@ from the evidence of the views. `tests/test_loop.py` asserts that both take the 
 """
 
 import dataclasses
-import functools
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -78,11 +77,8 @@ def step(
 ) -> tuple[State, StepInfo]:
     """Update the attribute once, with the loss of one view (GS-Checker, eq. 11).
 
-    Args:
-        state: State before the step.
-        view_loss: 2D loss of the view as a function of the attribute, (N,) to scalar.
-        attributes: Attributes F of the 3D loss, shape (A, N).
-        config: Weights and schedule; `contrastive_start` must be an iteration.
+    `view_loss` maps an attribute (N,) to the 2D loss of the view; the attributes F of the 3D loss
+    have shape (A, N).
     """
     if config.contrastive_start is None:
         raise ValueError("contrastive_start must be an iteration; `fit` replaces None by half-way")
@@ -180,8 +176,9 @@ def _iterate(
 
 @jax.jit
 def _evidence_step(state: State, evidence: Evidence, attributes: Array, config: LoopConfig):
-    weights = {"lambda1": config.lambda1, "lambda2": config.lambda2}
-    view_loss = functools.partial(loss_2d_from_evidence, evidence=evidence, **weights)
+    def view_loss(r):
+        return loss_2d_from_evidence(r, evidence, lambda1=config.lambda1, lambda2=config.lambda2)
+
     return step(state, view_loss, attributes, config=config)
 
 
@@ -200,14 +197,7 @@ def render_attribute(view: View, r: jax.Array) -> jax.Array:
 
 
 def view_order(views: int, *, epochs: int, shuffle: bool = False, seed: int = 0) -> np.ndarray:
-    """Choose the view of each iteration, shape (epochs * views,), int32.
-
-    Args:
-        views: Number of views.
-        epochs: Number of iterations per view.
-        shuffle: Draw a new order for each epoch instead of the fixed one.
-        seed: Seed of the orders.
-    """
+    """View of each iteration, (epochs * views,) int32; `shuffle` draws an order for each epoch."""
     rng = np.random.default_rng(seed)
     rounds = [rng.permutation(views) if shuffle else np.arange(views) for _ in range(epochs)]
     return np.concatenate([np.zeros(0, int), *rounds]).astype(np.int32)

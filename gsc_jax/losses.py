@@ -24,16 +24,10 @@ MAX_ABS_LOGIT = 20.0
 def loss_2d(
     rendered: Array, mask: Array, *, lambda1: float = 1.0, lambda2: float = 10.0
 ) -> jax.Array:
-    """Compute the 2D rendering loss L_2d of a view (GS-Checker, eq. 10).
+    """Compute the 2D rendering loss L_2d of a view, summed over its pixels (GS-Checker, eq. 10).
 
-    Args:
-        rendered: Rendered attribute M^R, shape (H, W).
-        mask: Mask M, in [0, 1], shape (H, W).
-        lambda1: Weight of the attribute inside the mask.
-        lambda2: Weight of the attribute outside the mask.
-
-    Returns:
-        The loss summed over the pixels, scalar; unbounded below.
+    The rendered attribute M^R and the mask M in [0, 1] have shape (H, W); lambda1 and lambda2 are
+    the weights inside and outside the mask.
     """
     mask = jnp.asarray(mask, jnp.float32)
     return jnp.sum((lambda2 * (1.0 - mask) - lambda1 * mask) * rendered)
@@ -95,13 +89,8 @@ def sim_difference(attributes: Array, mean_h: Array, mean_l: Array) -> list[jax.
 def direction(attributes: Array, groups: Partition, *, per_feature: bool = False) -> jax.Array:
     """Compute u_i = sign(sim^l_i - sim^h_i) (GS-Checker, eq. 8): 1 where G_h is more similar.
 
-    Args:
-        attributes: Attributes F, shape (A, N).
-        groups: Groups of the N Gaussians.
-        per_feature: Average one sign per attribute, as the released code does.
-
-    Returns:
-        u in [-1, 1], shape (N,); 0 outside G_m, or where a group is empty.
+    The attributes F have shape (A, N), u has shape (N,) and is 0 outside G_m, or where a group is
+    empty. With `per_feature`, it averages one sign per attribute, as the released code does.
     """
     mean_h, mean_l = (_masked_mean(attributes, group) for group in (groups.high, groups.low))
     terms = sim_difference(attributes, mean_h, mean_l)
@@ -119,9 +108,7 @@ def loss_3d(
 ) -> jax.Array:
     """Compute the 3D contrastive loss L_3d (GS-Checker, eq. 12) of an attribute r, shape (N,).
 
-    Returns:
-        -mean of u_i r_i over G_m, scalar, with u from `direction` held constant; 0 where a group is
-        empty.
+    It is -mean of u_i r_i over G_m, with u from `direction` held constant; 0 for an empty group.
     """
     u = jax.lax.stop_gradient(direction(attributes, groups, per_feature=per_feature))
     return -jnp.vdot(u, r) / jnp.maximum(jnp.sum(groups.middle, dtype=r.dtype), 1.0)

@@ -41,18 +41,11 @@ def alpha_at(splat: jax.Array, pixel: jax.Array) -> jax.Array:
 
 
 def blend_pixel(transmittance: jax.Array, alphas: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Compute the blending weights of the next splats of one pixel, front to back.
+    """Compute the weights (C,) of the next splats of a pixel, and the transmittance behind them.
 
     alpha_i prod_{j<i} (1 - alpha_j) is the difference of two successive products, with a relative
     rounding error of 1e-5 at alpha = 1/255. It is exactly 0 where alpha is 0, because the products
     are formed one factor at a time and subtracted before the transmittance is multiplied in.
-
-    Args:
-        transmittance: Transmittance before these splats, scalar; below 1e-4 in a stopped pixel.
-        alphas: Opacities of these splats at the pixel, shape (C,).
-
-    Returns:
-        Weights W_pi, shape (C,), and the transmittance behind the last splat.
     """
     through = jnp.cumprod(1.0 - alphas)
     before = jnp.concatenate([jnp.ones_like(through[:1]), through[:-1]])
@@ -120,9 +113,6 @@ def composite(view: View, features: jax.Array) -> jax.Array:
 
     The image is 0 on pixels that no Gaussian covers. Differentiable with respect to the features;
     the gradient is `accumulate`.
-
-    Raises:
-        ValueError: if the number of rows is not N.
     """
     _require_rows(view, features)
     padded = jnp.pad(features, ((0, 1), (0, 0)))
@@ -141,13 +131,7 @@ def composite(view: View, features: jax.Array) -> jax.Array:
 
 @jax.jit
 def accumulate(view: View, maps: jax.Array) -> jax.Array:
-    """Sum maps (H, W, D) over the pixels with the weights of each Gaussian, shape (N, D): W^T m.
-
-    The sums are 0 for Gaussians that are not visible.
-
-    Raises:
-        ValueError: if the maps do not have the size of the image.
-    """
+    """Sum maps (H, W, D) over the pixels with the weights of each Gaussian, shape (N, D): W^T m."""
     if maps.ndim != 3 or maps.shape[:2] != (view.height, view.width):
         raise ValueError(f"maps must be ({view.height}, {view.width}, D), got {maps.shape}")
     tiled = _split_tiles(view, maps)

@@ -29,15 +29,10 @@ class Tally:
 
 @jax.jit
 def cast_votes(centers: Array, depths: Array, mask: Array) -> jax.Array:
-    """Compute the votes V_ij of one view j (GS-Checker, eq. 5).
+    """Compute the votes V_ij of one view j, 1, 0 or -1, shape (N,) int32 (GS-Checker, eq. 5).
 
-    Args:
-        centers: Projected centres in pixels, shape (N, 2); the first pixel spans 0 to 1.
-        depths: Depths of the centres, shape (N,); not positive behind the camera.
-        mask: Tampered pixels, boolean, shape (H, W).
-
-    Returns:
-        1, 0 or -1 per Gaussian, shape (N,) int32; -1 where the centre is not finite.
+    The centres are in pixels, shape (N, 2), the first of which spans 0 to 1; their depths (N,) are
+    not positive behind the camera; the mask is boolean, shape (H, W).
     """
     height, width = mask.shape
     size = jnp.array([[width, height]], centers.dtype)
@@ -62,20 +57,15 @@ def no_votes(count: int) -> Tally:
 
 
 def paper_consensus(counts: Tally) -> jax.Array:
-    """Compute the initial attribute of the paper from the total T_i (GS-Checker, eq. 6).
+    """Initial attribute of the paper, shape (N,) float32 (GS-Checker, eq. 6).
 
-    Returns:
-        T_i where more views vote tampered than authentic, else 0; shape (N,) float32.
+    It is the total T_i where more views vote tampered than authentic, else 0.
     """
     majority = counts.tampered > counts.authentic
     return jnp.where(majority, counts.tampered, 0).astype(jnp.float32)
 
 
 def official_consensus(counts: Tally) -> jax.Array:
-    """Compute the initial attribute of the released code, in which abstentions compete.
-
-    Returns:
-        T_i where "tampered" is the strict mode of the votes, else 0; shape (N,) float32.
-    """
+    """Initial attribute of the released code: T_i where "tampered" is the strict mode, else 0."""
     others = jnp.maximum(counts.authentic, counts.abstained)
     return jnp.where(counts.tampered > others, counts.tampered, 0).astype(jnp.float32)

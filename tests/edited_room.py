@@ -25,8 +25,7 @@ def vase() -> Gaussians:
 
 @functools.cache
 def edited(edit: Edit, seed: int = 0) -> Tampered:
-    donor = vase() if edit == "incorporation" else None
-    return tamper(*room(), edit, donor=donor, size=SIZE, seed=seed)
+    return tamper(*room(), vase() if edit == "incorporation" else edit, size=SIZE, seed=seed)
 
 
 @functools.cache

@@ -41,7 +41,7 @@ def central_rows(gaussians: Gaussians, count: int = 400) -> np.ndarray:
     return np.argsort(np.linalg.norm(means - np.median(means, axis=0), axis=1))[:count]
 
 
-def changed(gaussians: Gaussians, rows: np.ndarray, **values) -> Gaussians:
+def changed(gaussians: Gaussians, rows: np.ndarray | slice, **values) -> Gaussians:
     """The Gaussians with other values in some rows."""
     fields = {name: np.array(getattr(gaussians, name)) for name in values}
     for name, value in values.items():

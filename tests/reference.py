@@ -14,6 +14,7 @@ from math import factorial, pi, sqrt
 from typing import SupportsIndex
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 from scipy.special import expit, lpmv
 
 MIN_ALPHA, MAX_ALPHA, STOP, LOW_PASS = 1 / 255, 0.99, 1e-4, 0.3
@@ -27,15 +28,9 @@ CLOSE_DEPTH = 5e-7
 
 @dataclasses.dataclass(frozen=True)
 class Projection:
-    """N projected Gaussians.
+    """N projected Gaussians: centres in pixels (N, 2), and factors J W R S (N, 2, 3).
 
-    Attributes:
-        means: Centres in pixels, (N, 2).
-        factors: J W R S, whose product with its transpose is the covariance before the low-pass,
-            (N, 2, 3).
-        depths: Camera z, (N,).
-        opacities: Activated opacities, (N,).
-        in_front: Mask of the Gaussians beyond the near plane, (N,).
+    The covariance before the low-pass is the product of the factors with their transpose.
     """
 
     means: np.ndarray
@@ -58,14 +53,9 @@ class Projection:
 
 @dataclasses.dataclass(frozen=True)
 class Blending:
-    """The matrix W of a view.
+    """The matrix W (pixels, M) of the Gaussians `ids` that can touch a pixel, front to back.
 
-    Attributes:
-        weights: W of the Gaussians that can touch a pixel, (pixels, M).
-        ids: Indices of these Gaussians, front to back, (M,).
-        slack: Bound of the change of a pixel when rounding flips a decision, (pixels,).
-        count: Number of Gaussians N.
-        shape: Height and width.
+    `slack` bounds the change of a pixel when rounding flips a decision, (pixels,).
     """
 
     weights: np.ndarray
@@ -98,14 +88,8 @@ class Blending:
 
 
 def rotations(quats) -> np.ndarray:
-    """Rotation matrices of wxyz quaternions of any length, (N, 3, 3), as v -> q v q*."""
-    q = np.asarray(quats, np.float64)
-    q = q / np.linalg.norm(q, axis=1, keepdims=True)
-    w, v = q[:, 0, None, None], q[:, 1:]
-    cross = np.zeros((len(q), 3, 3))
-    for i, j, k, sign in [(0, 1, 2, -1), (0, 2, 1, 1), (1, 2, 0, -1)]:
-        cross[:, i, j], cross[:, j, i] = sign * v[:, k], -sign * v[:, k]
-    return np.eye(3) + 2 * w * cross + 2 * cross @ cross
+    """Rotation matrices of wxyz quaternions of any length, (N, 3, 3)."""
+    return Rotation.from_quat(np.asarray(quats, np.float64), scalar_first=True).as_matrix()
 
 
 def project(gaussians, camera, *, near=0.2) -> Projection:

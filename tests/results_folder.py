@@ -19,38 +19,31 @@ THRESHOLD = 0.5
 RED, BLUE = (1.5, -1.2, -1.2), (-1.2, -1.2, 1.5)
 
 
-def ball_over_floor() -> tuple[Gaussians, np.ndarray]:
-    """A red ball over a blue floor, and scores that identify the ball, by row of the file."""
+def ball_over_floor(count: int, every: int) -> tuple[Gaussians, np.ndarray]:
+    """A blue floor under a red ball, to which one Gaussian in `every` belongs (N,)."""
     rng = np.random.default_rng(0)
-    ball = np.arange(COUNT) % OBJECT == 0
-    floor_means = rng.uniform(-1, 1, (COUNT, 3)) * [1, 0.02, 1] + [0, 0.4, 0]
-    ball_means = rng.normal(size=(COUNT, 3))
+    ball = np.arange(count) % every == 0
+    floor_means = rng.uniform(-1, 1, (count, 3)) * [1, 0.02, 1] + [0, 0.4, 0]
+    ball_means = rng.normal(size=(count, 3))
     ball_means *= 0.3 / np.linalg.norm(ball_means, axis=1, keepdims=True)
-    means = np.where(ball[:, None], ball_means, floor_means).astype(np.float32)
-    means[list(BROKEN)] = np.nan
     gaussians = Gaussians(
-        means=means,
-        log_scales=np.full((COUNT, 3), np.log(0.04), np.float32),
-        quats=rng.normal(size=(COUNT, 4)).astype(np.float32),
-        logit_opacities=np.full(COUNT, 3, np.float32),
+        means=np.where(ball[:, None], ball_means, floor_means).astype(np.float32),
+        log_scales=np.full((count, 3), -2.6, np.float32),
+        quats=rng.normal(size=(count, 4)).astype(np.float32),
+        logit_opacities=np.full(count, 3, np.float32),
         sh=np.where(ball[:, None], RED, BLUE)[:, None].astype(np.float32),
     )
-    scores = np.where(ball, rng.uniform(0.6, 1, COUNT), rng.uniform(0, 0.4, COUNT))
-    scores[list(BROKEN)] = 0
-    return gaussians, scores.astype(np.float32)
+    return gaussians, ball
 
 
 def write_results(folder: Path, *, views: int = 3) -> list[Camera]:
-    """Write the folder.
-
-    Args:
-        folder: The folder, created if missing.
-        views: Number of cameras.
-
-    Returns:
-        The cameras, at the size of their masks.
-    """
-    gaussians, scores = ball_over_floor()
+    """Write the folder; return its cameras, at the size of their masks."""
+    gaussians, ball = ball_over_floor(COUNT, OBJECT)
+    gaussians.means[list(BROKEN)] = np.nan
+    rng = np.random.default_rng(1)
+    scores = np.where(ball, rng.uniform(0.6, 1, COUNT), rng.uniform(0, 0.4, COUNT))
+    scores[list(BROKEN)] = 0
+    scores = scores.astype(np.float32)
     folder.mkdir(parents=True, exist_ok=True)
     save_ply(folder / "scene.ply", gaussians)
     scene = read_ply(folder / "scene.ply")

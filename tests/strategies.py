@@ -20,6 +20,17 @@ def camera(width: int = 17, height: int = 15, *, viewmat=None, focal: float = 20
     return Camera(viewmat=viewmat, K=K, width=width, height=height)
 
 
+def cameras_in_a_row(count: int, width: int, height: int, *, step: float) -> list[Camera]:
+    """Cameras beside each other, looking along z, named view_0 and so on."""
+    found = []
+    for index in range(count):
+        view = camera(width, height)
+        viewmat = np.array(view.viewmat)
+        viewmat[0, 3] = step * (index - count / 2)
+        found.append(dataclasses.replace(view, viewmat=viewmat, name=f"view_{index}"))
+    return found
+
+
 def random_scene(count: int, *, seed: int = 0, degree: int = 1) -> Gaussians:
     """Gaussians of all sizes in front of the camera, some of them outside of the image."""
     rng = np.random.default_rng([seed, count])
@@ -55,6 +66,12 @@ def ball(count: int = 2000, *, center=(1.0, -2.0, 5.0), radius: float = 2.0) -> 
     scene = blobs(means + center, opacity=0.95, scale=0.02)
     scene.logit_opacities[::10] = -3
     return scene
+
+
+def needles(count: int, *, length: float, width: float = 1e-3) -> Gaussians:
+    """Random Gaussians with one axis of another length."""
+    log_scales = np.log(np.tile([length, width, width], (count, 1))).astype(np.float32)
+    return dataclasses.replace(random_scene(count), log_scales=log_scales)
 
 
 def with_row(gaussians: Gaussians, field: str, value, *, row: int = 0) -> Gaussians:

@@ -26,8 +26,6 @@ from gsc_jax.losses import (
     standardised_attributes,
 )
 
-attributes_of = hnp.arrays(np.float32, 8, elements=st.floats(-50, 50, width=32))
-
 
 def groups(high, middle, low) -> Partition:
     high, middle, low = (jnp.asarray(np.isin(np.arange(6), rows)) for rows in (high, middle, low))
@@ -58,7 +56,7 @@ def test_the_groups_have_the_thresholds_of_the_released_code():
     assert np.flatnonzero(found.low).tolist() == [7, 8]
 
 
-@given(attributes_of)
+@given(hnp.arrays(np.float32, 8, elements=st.floats(-50, 50, width=32)))
 def test_no_gaussian_is_in_two_groups(r):
     found = partition(jnp.asarray(r))
     assert not jnp.any(found.high & found.middle)

@@ -9,8 +9,9 @@ import dataclasses
 
 import numpy as np
 
-from gsc_jax.benchmark.edits import EditRejected, ProposedEdit
 from gsc_jax.benchmark.regions import (
+    EditRejected,
+    ProposedEdit,
     Visibility,
     draw_seeds,
     median_visible_share,
@@ -63,9 +64,9 @@ def transformed(
 def paste_object(
     gaussians: Gaussians,
     visibility: Visibility,
-    donor: Gaussians,
     size: float,
     rng: np.random.Generator,
+    donor: Gaussians,
 ) -> ProposedEdit:
     """Paste an object so that it covers `size`, a median share of the pixels; its rows are last.
 

@@ -1,9 +1,9 @@
-"""Metrics of masks and labels, as defined by IMDL-BenCo, which the paper's tables use.
+"""Metrics of masks and labels, and a naive baseline.
 
-P = TP / (TP + FP + e), R = TP / (TP + FN + e), F1 = 2 P R / (P + R + e) and IoU = TP / (TP + FP +
-FN + e) with e = 1e-8, for predictions and truths > 0.5, in each view; then the mean over the
-tampered views. In an authentic view F1 is 0 by construction, so it is measured by the flagged
-area. No metric picks the better of a mask and its complement.
+The metrics are those of IMDL-BenCo, which the paper's tables use: P = TP / (TP + FP + e), R = TP /
+(TP + FN + e), F1 = 2 P R / (P + R + e) and IoU = TP / (TP + FP + FN + e) with e = 1e-8, for
+predictions and truths > 0.5, in each view; then the mean over the tampered views. In an authentic
+view F1 is 0 by construction, so it is measured by the flagged area. No metric picks the better of a mask and its complement.
 
 With one weight per entry, the same counts apply to labels of Gaussians, weighted by opacity.
 """
@@ -17,6 +17,7 @@ import numpy as np
 from gsc_jax.evidence.masks import rendered_share
 from gsc_jax.render.projection import NEAR
 from gsc_jax.scene import Array, Camera, Gaussians
+from gsc_jax.vote import Tally
 
 EPSILON = 1e-8
 
@@ -147,6 +148,14 @@ def auc(scores: Array, truth: Array) -> float:
         return float("nan")
     wins = rankdata(scores)[tampered].sum() - positives * (positives + 1) / 2
     return float(wins / (positives * negatives))
+
+
+def inverse_projection(votes: Tally) -> np.ndarray:
+    """Label by back-projecting the masks and uniting them (GS-Checker, table 1).
+
+    True where the projected centre lies in the mask of at least one view, shape (N,) bool.
+    """
+    return np.asarray(votes.tampered) > 0
 
 
 def truth_mask(

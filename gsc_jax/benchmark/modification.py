@@ -13,9 +13,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from gsc_jax.benchmark.edits import EditRejected, ProposedEdit
 from gsc_jax.benchmark.regions import (
     OBJECT_CONTRAST,
+    EditRejected,
+    ProposedEdit,
     Region,
     Visibility,
     draw_seeds,

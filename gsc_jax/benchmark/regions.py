@@ -9,7 +9,7 @@ only areas matter.
 import dataclasses
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -19,7 +19,8 @@ from gsc_jax.render.orbit import mean_up
 from gsc_jax.render.projection import NEAR
 from gsc_jax.render.spherical_harmonics import Y0
 from gsc_jax.render.tiles import make_view
-from gsc_jax.scene import Camera, Gaussians
+from gsc_jax.render.visibility import check_views
+from gsc_jax.scene import Camera, Gaussians, InputError
 from gsc_jax.scene.gaussians import usable_rows
 from gsc_jax.scene.parallel import WORKERS, bounded_map
 from gsc_jax.splat import accumulate
@@ -82,16 +83,39 @@ class Region:
     towards: np.ndarray
 
 
+class ProposedEdit(NamedTuple):
+    """A scene after an edit whose visibility has not been checked yet.
+
+    `labels` (N,) is True where a Gaussian was pasted, changed or filled in. `original` is the
+    authentic scene, for edits that must change the colour of pixels.
+    """
+
+    gaussians: Gaussians
+    labels: np.ndarray
+    description: str
+    original: Gaussians | None = None
+
+
+class EditRejected(Exception):  # noqa: N818 - not an error: another attempt may succeed
+    """An attempt at an edit failed; the message gives the reason."""
+
+
 def measure_visibility(
     gaussians: Gaussians, cameras: Sequence[Camera], *, near: float = NEAR
 ) -> Visibility:
-    """Measure the visibility of Gaussians from at most `MAX_VIEWS` of the cameras."""
+    """Measure the visibility of Gaussians from at most `MAX_VIEWS` of the cameras.
+
+    Raises InputError if the cameras see nothing that can be edited.
+    """
+    check_views(gaussians, cameras, near=near)
     chosen = np.unique(np.linspace(0, len(cameras) - 1, min(MAX_VIEWS, len(cameras))).astype(int))
     small = [scaled_down(cameras[view]) for view in chosen]
     sums = np.stack(map_views(lambda camera: _blending_weights(gaussians, camera, near), small))
     share, central = np.moveaxis(sums * usable_rows(gaussians)[None, :, None], -1, 0)
     seen = (share > 0).mean(axis=0)
     weight = central.sum(axis=0) * seen**2 * (np.asarray(gaussians.opacities) > 0.5)
+    if not weight.any():
+        raise InputError("the cameras see nothing opaque near the middle of their images")
     up = mean_up(cameras)
     return Visibility(cameras=small, pixel_share=share, seed_weight=weight, up=up, near=near)
 

@@ -11,8 +11,14 @@ import dataclasses
 
 import numpy as np
 
-from gsc_jax.benchmark.edits import EditRejected, ProposedEdit
-from gsc_jax.benchmark.regions import Region, Visibility, draw_seeds, grow_region
+from gsc_jax.benchmark.regions import (
+    EditRejected,
+    ProposedEdit,
+    Region,
+    Visibility,
+    draw_seeds,
+    grow_region,
+)
 from gsc_jax.benchmark.scenes import concatenate
 from gsc_jax.scene import Gaussians
 

@@ -8,17 +8,19 @@ it changes the colour of pixels; otherwise another place is tried.
 """
 
 import dataclasses
-from collections.abc import Sequence
+import functools
+from collections.abc import Callable, Sequence
 from typing import Literal, get_args
 
 import numpy as np
 
-from gsc_jax.benchmark.edits import EditRejected, ProposedEdit
 from gsc_jax.benchmark.incorporation import paste_object
 from gsc_jax.benchmark.metrics import truth_mask
 from gsc_jax.benchmark.modification import modify_region
 from gsc_jax.benchmark.regions import (
     VISIBLE_SHARE,
+    EditRejected,
+    ProposedEdit,
     Visibility,
     map_views,
     measure_visibility,
@@ -28,11 +30,8 @@ from gsc_jax.benchmark.regions import (
 )
 from gsc_jax.benchmark.removal import remove_region
 from gsc_jax.render.projection import NEAR
-from gsc_jax.render.visibility import check_views
 from gsc_jax.scene import Camera, Gaussians, InputError
 from gsc_jax.splat import render
-
-__all__ = ["EDITS", "Edit", "Tampered", "tamper", "visibility_of"]
 
 Edit = Literal["incorporation", "modification", "removal"]
 EDITS: tuple[Edit, ...] = get_args(Edit)
@@ -68,9 +67,8 @@ class Tampered:
 def tamper(
     gaussians: Gaussians,
     cameras: Sequence[Camera],
-    edit: Edit,
+    edit: Edit | Gaussians,
     *,
-    donor: Gaussians | None = None,
     size: float = 0.05,
     near: float = NEAR,
     seed: int = 0,
@@ -82,59 +80,44 @@ def tamper(
     Args:
         gaussians: The authentic scene.
         cameras: Its V cameras, mostly held level: the vertical is the mean of their up vectors.
-        edit: One of `EDITS`.
-        donor: Object to paste, upright with up = -y; for an incorporation, and only for it.
+        edit: "modification", "removal", or for an incorporation the object to paste, upright with
+            up = -y.
         size: Median share of the pixels that the edit should cover in the views that see it.
         near: Near plane in world units.
         seed: Seed of the random choices.
 
     Raises:
-        ValueError: if the edit is unknown, the size is not in (0, 0.5], or the donor is missing,
-            superfluous or unusable.
+        ValueError: if the edit is unknown, the size is not in (0, 0.5], or the object is unusable.
         InputError: if the cameras do not see the scene, or no attempt gave a visible edit.
     """
-    _check_arguments(edit, donor, size)
+    kind, make = _kind_and_maker(edit)
+    if not 0 < size <= 0.5:
+        raise ValueError(f"size is a share of the pixels in (0, 0.5], got {size}")
     # The count enters the seed, so that one seed gives different kinds of edit in each scene.
-    rng = np.random.default_rng([seed, EDITS.index(edit), len(gaussians)])
-    visibility = visibility_of(gaussians, cameras, near=near)
+    rng = np.random.default_rng([seed, EDITS.index(kind), len(gaussians)])
+    visibility = measure_visibility(gaussians, cameras, near=near)
     reasons = []
     for _ in range(ATTEMPTS):
         try:
-            if donor is not None:
-                proposed = paste_object(gaussians, visibility, donor, size, rng)
-            else:
-                make = modify_region if edit == "modification" else remove_region
-                proposed = make(gaussians, visibility, size, rng)
+            proposed = make(gaussians, visibility, size, rng)
             visible = _checked(proposed, cameras, visibility, size)
         except EditRejected as reason:
             reasons.append(str(reason))
             continue
-        return _shuffled(proposed, edit, visible, rng)
+        return _shuffled(proposed, kind, visible, rng)
     raise InputError(
-        f"no {edit} of {100 * size:.3g} % of the pixels came out in {ATTEMPTS} attempts "
+        f"no {kind} of {100 * size:.3g} % of the pixels came out in {ATTEMPTS} attempts "
         f"({'; '.join(list(dict.fromkeys(reasons))[:3])}); try another size, seed or set of cameras"
     )
 
 
-def _check_arguments(edit: str, donor: Gaussians | None, size: float) -> None:
-    if edit not in EDITS:
-        raise ValueError(f"edit must be one of {', '.join(EDITS)}, got {edit!r}")
-    if not 0 < size <= 0.5:
-        raise ValueError(f"size is a share of the pixels in (0, 0.5], got {size}")
-    if (donor is not None) != (edit == "incorporation"):
-        need = "needs a donor to paste" if donor is None else "has no use for a donor"
-        raise ValueError(f"{edit} {need}")
-
-
-def visibility_of(
-    gaussians: Gaussians, cameras: Sequence[Camera], *, near: float = NEAR
-) -> Visibility:
-    """Measure visibility; raise InputError if the cameras see nothing that can be edited."""
-    check_views(gaussians, cameras, near=near)
-    visibility = measure_visibility(gaussians, cameras, near=near)
-    if not visibility.seed_weight.any():
-        raise InputError("the cameras see nothing opaque near the middle of their images")
-    return visibility
+def _kind_and_maker(edit: Edit | Gaussians) -> tuple[Edit, Callable[..., ProposedEdit]]:
+    """Kind of an edit, and the function that proposes one."""
+    if isinstance(edit, Gaussians):
+        return "incorporation", functools.partial(paste_object, donor=edit)
+    if edit not in ("modification", "removal"):
+        raise ValueError(f"edit must be an object, 'modification' or 'removal', got {edit!r}")
+    return edit, modify_region if edit == "modification" else remove_region
 
 
 def _checked(

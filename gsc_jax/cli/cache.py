@@ -14,12 +14,9 @@ def cache_folder() -> Path:
 
 
 def enable_compilation_cache(folder: Path | str) -> None:
-    """Store compiled functions of JAX in a folder and reuse them in later processes.
+    """Store compiled functions in a folder and reuse them in later processes.
 
     Changes the configuration of JAX in this process: for programs, not for libraries.
-
-    Args:
-        folder: Created when something is stored; JAX warns if it cannot be written.
     """
     import jax
 

@@ -36,16 +36,8 @@ STRICT = pydantic.ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ConfigFile:
-    """Content of a file for `--config`.
+    """The method that a file for `--config` configures, options of `locate`, and the estimator."""
 
-    Attributes:
-        path: The file.
-        method: The method that it configures.
-        command: Options of `locate` that it sets, by name.
-        estimator: The configured estimator.
-    """
-
-    path: Path
     method: Method
     command: Table
     estimator: Estimator
@@ -63,7 +55,6 @@ class ConfigFile:
         command = {name: self.command[name] for name in self.command if name not in METHOD_OPTIONS}
         shared = {name: getattr(self.estimator, name) for name in SHARED_FIELDS}
         return ConfigFile(
-            path=self.path,
             method=method,
             command={**command, "method": method},
             estimator=_replaced(METHODS[method], shared),
@@ -95,10 +86,7 @@ def read_config_file(path: str | Path) -> ConfigFile:
     config = _validated(_model(type(base)), tables.get("config", {}), f"{path}: config", hint=hint)
     if command.get("all_views") or command.get("views"):
         if config.get("tolerance"):
-            raise InputError(
-                f"{path}: config.tolerance stops at stable labels, but command gives the number of "
-                "views; leave one of them out"
-            )
+            raise InputError(f"{path}: config.tolerance and a number of views exclude each other")
         config.pop("tolerance", None)  # 0 in a result.json, as it follows from the options
     _refuse_contradictions(path, command, config)
     if report:
@@ -107,7 +95,7 @@ def read_config_file(path: str | Path) -> ConfigFile:
         estimator = _replaced(base, config)
     except ValueError as error:
         raise InputError(f"{path}: config: {error}") from error
-    return ConfigFile(path=path, method=method, command=command, estimator=estimator)
+    return ConfigFile(method=method, command=command, estimator=estimator)
 
 
 def _read(path: Path) -> Table:
@@ -144,12 +132,8 @@ def _model(kind: type) -> type[pydantic.BaseModel]:
 def _validated(
     model: type[pydantic.BaseModel], table: Table, where: str, *, hint: str = ""
 ) -> Table:
-    """The keys of a table with values of the types of a model.
-
-    The table is validated as JSON, in which strict types still allow a list for a tuple and a text
-    for a path.
-    """
-    try:
+    """The keys of a table with values of the types of a model."""
+    try:  # as JSON, in which strict types still allow a list for a tuple and a text for a path
         valid = model.model_validate_json(json.dumps(table, default=str))
     except pydantic.ValidationError as error:
         line = one_line(error, where, table, known=model.model_fields)
@@ -162,9 +146,7 @@ def _method(path: Path, command: Table, config: Mapping[str, Any]) -> Method:
     """The method of a file, which both of its tables may name."""
     name = config.get("name")
     if name is not None and name not in METHODS:
-        raise InputError(
-            f"{path}: config.name: expected one of {', '.join(METHODS)}, found {name!r}"
-        )
+        raise InputError(f"{path}: config.name: expected {', '.join(METHODS)}, found {name!r}")
     method = command.get("method", name or "robust")
     if name not in (None, method):
         raise InputError(f"{path}: command.method is {method}, but config.name is {name}")
@@ -177,9 +159,7 @@ def _refuse_contradictions(path: Path, command: Table, config: Table) -> None:
     for name in (*SHARED_FIELDS, *METHOD_OPTIONS):
         one, other = command.get(name), given.get(name)
         if None not in (one, other) and one != other:
-            raise InputError(
-                f"{path}: {name} is {one} in command and {other} in config; leave one of them out"
-            )
+            raise InputError(f"{path}: {name} is {one} in command and {other} in config")
 
 
 def _reopen_schedule(base: Estimator, config: Table, views: Any) -> None:
@@ -188,7 +168,7 @@ def _reopen_schedule(base: Estimator, config: Table, views: Any) -> None:
     if loop is None or not isinstance(views, int):
         return
     unset = _replaced(base, {**config, "loop": {**loop, "contrastive_start": None}})
-    if typing.cast(Any, unset.resolved(views)).loop.contrastive_start == loop["contrastive_start"]:
+    if typing.cast(Any, unset.for_views(views)).loop.contrastive_start == loop["contrastive_start"]:
         loop["contrastive_start"] = None
 
 

@@ -31,35 +31,27 @@ def configured_estimator(options: Locate) -> Estimator:
     base: Any = METHODS[options.method]
     if options.config is not None:
         base = read_config_file(options.config).for_method(options.method).estimator
-    if options.threshold is not None and not 0 <= options.threshold < 1:
-        raise InputError(f"--threshold {options.threshold:g}: expected 0 or more, and less than 1")
-    if options.epochs is not None and options.epochs < 1:
-        raise InputError(f"--epochs {options.epochs}: expected at least one")
-    if options.lambda2 is not None and not 0 <= options.lambda2 < math.inf:
-        raise InputError(f"--lambda2 {options.lambda2:g}: expected 0 or more")
     changes: dict[str, Any] = {"near": options.near, "seed": options.seed}
-    fields = {field.name for field in dataclasses.fields(base)}
-    for name in ("threshold", "mask_rule", "epochs"):
+    for name in ("threshold", "mask_rule", "epochs", "lambda2"):
         if getattr(options, name) is not None:
             changes[name] = getattr(options, name)
-    if options.lambda2 is not None:
-        loop = getattr(base, "loop", None)
-        changes["lambda2" if loop is None else "loop"] = loop and dataclasses.replace(
-            loop, lambda2=options.lambda2
-        )
-    for name in set(changes) - fields:
+    loop = getattr(base, "loop", None)
+    if loop is not None and "lambda2" in changes:
+        if not 0 <= changes["lambda2"] < math.inf:
+            raise InputError(f"--lambda2 {options.lambda2:g}: expected 0 or more")
+        changes["loop"] = dataclasses.replace(loop, lambda2=changes.pop("lambda2"))
+    for name in changes.keys() - {field.name for field in dataclasses.fields(base)}:
         raise InputError(f"--{name}: does not apply to --method {options.method}")
     if base.stops_early and (options.all_views or options.views):
         changes["tolerance"] = 0.0
-    return dataclasses.replace(base, **changes)
+    try:
+        return dataclasses.replace(base, **changes)
+    except ValueError as error:
+        raise InputError(f"options of --method {options.method}: {error}") from error
 
 
 def network_path(options: Locate) -> Path | None:
-    """The 2D network among the values of --detector.
-
-    Raises:
-        InputError: if there is more than one.
-    """
+    """The 2D network among the values of --detector; InputError if there is more than one."""
     networks = [path for path in options.detector if path not in (NATIVE, NONE)]
     combined = NONE in options.detector and len(options.detector) > 1
     if len(networks) > 1 or options.detector.count(NATIVE) > 1 or combined:
@@ -71,11 +63,7 @@ def network_path(options: Locate) -> Path | None:
 
 
 def uses_attributes(options: Locate, estimator: Estimator) -> bool:
-    """Whether the attributes of the Gaussians contribute evidence: by default if they can.
-
-    Raises:
-        InputError: if --detector names them but the estimator does not use a prior.
-    """
+    """Whether the attributes contribute evidence; InputError if the estimator cannot use them."""
     named = NATIVE in options.detector
     if named and not estimator.uses_prior:
         raise InputError(
@@ -88,19 +76,13 @@ def uses_attributes(options: Locate, estimator: Estimator) -> bool:
 def open_detector(options: Locate, *, attributes: bool) -> Detector | None:
     """Open the folder of masks or the 2D network; None if the options name neither.
 
-    Args:
-        options: Arguments of the command line.
-        attributes: Whether the attributes of the Gaussians contribute evidence.
-
     Raises:
-        InputError: if options contradict each other, there is no evidence, or a file is invalid.
+        InputError: if options contradict each other, there is no evidence (`attributes`: from the
+            attributes of the Gaussians), or a file is invalid.
     """
     network = network_path(options)
     if options.masks is not None and network is not None:
-        raise InputError(
-            f"--masks {options.masks} and --detector {network}: give one of the two; both would "
-            "give a mask to the same camera"
-        )
+        raise InputError(f"--masks {options.masks} and --detector {network}: give one of the two")
     if network is not None:
         return _open_network(network, options)
     for flag in ("preset", "spec", "provider", "threads"):
@@ -115,9 +97,8 @@ def open_detector(options: Locate, *, attributes: bool) -> Detector | None:
         return FolderDetector(options.masks)
     if not attributes:
         raise InputError(
-            f"--method {options.method}: there is no evidence; give the masks of a 2D detector "
-            "(--masks DIR), the detector itself (--detector MODEL.onnx), or use the attributes of "
-            "the Gaussians (--method robust --detector native, config.prior_weight above 0)"
+            f"--method {options.method}: there is no evidence; give --masks DIR or --detector "
+            "MODEL.onnx, or use the attributes (--method robust --detector native)"
         )
     return None
 
@@ -126,16 +107,12 @@ def _open_network(path: Path, options: Locate) -> Detector:
     """Load a 2D network; its outputs are cached unless --no-cache is given."""
     if str(path) in PRESETS and not path.exists():
         raise InputError(
-            f"--detector {path}: is the name of a preset, expected an ONNX model; export the "
-            f"network and give --detector MODEL.onnx --preset {path}"
+            f"--detector {path}: is a preset; give --detector MODEL.onnx --preset {path}"
         )
     runtime = {"providers": [options.provider or "cpu"], "threads": options.threads or 0}
     if path.is_dir():
         if options.preset or options.spec:
-            raise InputError(
-                f"--detector {path}: a folder is read as SAFIRE's two networks, to which --preset "
-                "and --spec do not apply"
-            )
+            raise InputError(f"--detector {path}: --preset and --spec do not apply to SAFIRE")
         model = SafireDetector(path, **runtime)
     else:
         model = OnnxDetector(path, _spec(options), **runtime)

@@ -1,11 +1,9 @@
 """`gsc-jax evaluate`: compare the results of a run with the truth, by Gaussian and by view.
 
-The metrics are those of `gsc_jax.benchmark.metrics`. The masks of the 2D detector are compared with
-the same truth, which shows what lifting them to the Gaussians gains. A truth of another size than
-its view is resized once and thresholded, like the output of a detector.
+The masks of the 2D detector are compared with the same truth, which shows what lifting them to the
+Gaussians gains. A truth of another size is resized and thresholded like the output of a detector.
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,7 +14,7 @@ from gsc_jax.benchmark.metrics import auc, confusion, false_positive_area, mean_
 from gsc_jax.cli.options import Evaluate
 from gsc_jax.cli.outputs import write_json
 from gsc_jax.cli.report.wording import share
-from gsc_jax.cli.results import Results, read_results
+from gsc_jax.cli.results import Results, read_by_row, read_results
 from gsc_jax.cli.staging import EVALUATION
 from gsc_jax.detectors.folder import FolderDetector
 from gsc_jax.evidence.detector import fit_to_view
@@ -49,10 +47,10 @@ def run_evaluate(options: Evaluate) -> tuple[list[str], list[str]]:
     warnings: list[str] = []
     lines: list[str] = []
     if labels is not None:
-        report["gaussians"] = by_gaussian(results, labels)
+        report["gaussians"] = _by_gaussian(results, labels)
         lines += [*_gaussian_table(report["gaussians"]), ""]
     if masks is not None:
-        report["views"] = by_view(results, masks, warnings)
+        report["views"] = _by_view(results, masks, warnings)
         lines += [*_view_table(report["views"]), ""]
     out = options.out or options.folder / EVALUATION
     write_json(out, {**report, "warnings": warnings})
@@ -64,27 +62,25 @@ def _file_and_folder(truth: Sequence[Path]) -> tuple[Path | None, Path | None]:
     for path in truth:
         if not path.exists():
             raise InputError(
-                f"{path}: no such file or folder, expected labels.npy or a folder of masks"
+                f"{path}: no such file or folder; give labels.npy or a folder of masks"
             )
     folders = [path for path in truth if path.is_dir()]
-    files = [path for path in truth if not path.is_dir()]
-    if len(folders) > 1 or len(files) > 1 or not truth:
+    files = [path for path in truth if path not in folders]
+    if not truth or max(len(folders), len(files)) > 1:
         given = " ".join(map(str, truth))
         raise InputError(f"--truth {given}: expected labels.npy, a folder of masks, or one of each")
-    return (files or [None])[0], (folders or [None])[0]
+    return next(iter(files), None), next(iter(folders), None)
 
 
-def by_gaussian(results: Results, truth: Path) -> dict[str, Any]:
-    """Compute the scores of the labels, and the AUC of the scores behind them.
+def _by_gaussian(results: Results, truth: Path) -> dict[str, Any]:
+    """Scores of the labels, and the AUC of the scores behind them.
 
-    Args:
-        results: Results of `locate`. Rows that it could not read count as labelled authentic.
-        truth: A .npy of bool by row of the scene file.
-
-    Raises:
-        InputError: if the truth is not such an array, or of another scene.
+    Rows that `locate` could not read count as labelled authentic.
     """
-    labels = _read_labels(truth, results.total)
+    values = read_by_row(truth, results.total)
+    if not np.isin(values, (0, 1)).all():
+        raise InputError(f"{truth}: holds {values.dtype} other than 0 and 1, expected labels.npy")
+    labels = values.astype(bool)
     found, scores = np.zeros(results.total, bool), np.zeros(results.total, np.float32)
     found[results.rows], scores[results.rows] = results.labels, results.tamper
     counts = confusion(found, labels)
@@ -98,34 +94,10 @@ def by_gaussian(results: Results, truth: Path) -> dict[str, Any]:
     }
 
 
-def _read_labels(path: Path, total: int) -> np.ndarray:
-    expected = f"expected a .npy of {total:,} true or false, one per row of the scene"
-    try:
-        labels = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
-        raise InputError(f"{path}: cannot be read ({error}), {expected}") from error
-    if not isinstance(labels, np.ndarray):  # an .npz
-        raise InputError(f"{path}: holds several arrays, {expected}")
-    zero_one = labels.dtype.kind in "iu" and np.isin(labels, (0, 1)).all()
-    if labels.shape != (total,) or not (labels.dtype == bool or zero_one):
-        raise InputError(f"{path}: holds {labels.dtype} of shape {labels.shape}, {expected}")
-    return labels.astype(bool)
+def _by_view(results: Results, truth: Path, warnings: list[str]) -> dict[str, Any]:
+    """Scores of the final masks and of the masks of the detector, and the truth's tampered shares.
 
-
-def by_view(results: Results, truth: Path, warnings: list[str]) -> dict[str, Any]:
-    """Compute the scores of the final masks and of the masks of the detector.
-
-    Args:
-        results: Results of `locate`.
-        truth: A folder with a mask per camera.
-        warnings: Receives what a user should know about the truth.
-
-    Returns:
-        The tampered share of each view, the scores of `found` and, if there are masks of a
-        detector, of `detector`, and of `found_where_judged` on the views of the detector.
-
-    Raises:
-        InputError: if no view has a truth, or a truth is of another view.
+    `found_where_judged` has the scores of the final masks on the views of the detector.
     """
     folder, views = FolderDetector(truth), results.cameras
     chosen = folder.select(views)
@@ -202,11 +174,7 @@ def _gaussian_table(scores: Mapping[str, Any]) -> list[str]:
 
 
 def _view_table(views: Mapping[str, Any]) -> list[str]:
-    """A line per tampered view, the means, and the flagged share of the authentic views.
-
-    The detector may not have judged all views, so that its mean has the mean of `found` over the
-    same views beside it.
-    """
+    """A line per tampered view, the means, and the flagged share of the authentic views."""
     found, detector = views["found"], views.get("detector")
     means = {f"mean of {len(found['per_view'])}": found}
     if detector:
@@ -225,10 +193,9 @@ def _view_table(views: Mapping[str, Any]) -> list[str]:
 def _row(name: str, cells: Sequence[str | float | None]) -> str:
     """A line of a table; a long name is cut at its beginning."""
     name = name if len(name) <= NAME_WIDTH else f"...{name[3 - NAME_WIDTH :]}"
-    return f"{name:{NAME_WIDTH}}" + "".join(f"{_cell(cell):>10}" for cell in cells)
+    texts = ["-" if cell is None else _text(cell) for cell in cells]
+    return f"{name:{NAME_WIDTH}}" + "".join(f"{text:>10}" for text in texts)
 
 
-def _cell(value: str | float | None) -> str:
-    if isinstance(value, str):
-        return value
-    return "-" if value is None or math.isnan(value) else f"{value:.3f}"
+def _text(cell: str | float) -> str:
+    return cell if isinstance(cell, str) else f"{cell:.3f}".replace("nan", "-")

@@ -28,17 +28,9 @@ from gsc_jax.scene import Camera, InputError
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Inputs:
-    """The validated input of a run.
+    """The validated input of a run; `attributes`: whether those of the Gaussians are evidence.
 
-    Attributes:
-        options: The options, with the spec file beside the model.
-        estimator: The configured estimator.
-        attributes: Whether the attributes of the Gaussians contribute evidence.
-        detector: Folder of masks or 2D network, or None.
-        scene: The scene file.
-        cameras: The views to use.
-        files: Files and folders that the run reads.
-        warnings: Sentences for the user.
+    `options` name the spec file beside the model, `files` are all files and folders that are read.
     """
 
     options: Locate
@@ -62,7 +54,12 @@ def read_inputs(options: Locate, *, monitor: Monitor) -> Inputs:
         raise InputError(
             f"{options.out}: holds an edit of `tamper` and its truth; give another --out"
         )
-    warnings = _dropped_settings(options)
+    warnings = []
+    if options.config and (method := read_config_file(options.config).method) != options.method:
+        warnings.append(
+            f"{options.config}: is for the method {method}; the settings that depend on the method "
+            f"were dropped, as --method is {options.method}"
+        )
     estimator, options = configured_estimator(options), with_spec(options)
     attributes = uses_attributes(options, estimator)
     detector = open_detector(options, attributes=attributes)
@@ -90,10 +87,6 @@ def read_inputs(options: Locate, *, monitor: Monitor) -> Inputs:
 
 def run_locate(options: Locate, *, monitor: Monitor | None = None) -> Located:
     """Find the tampered Gaussians of a scene file and write the results.
-
-    Args:
-        options: Arguments of the command line.
-        monitor: Receives progress, and the time and memory of this run.
 
     Raises:
         InputError: if an input is invalid or the results cannot be written.
@@ -124,16 +117,3 @@ def run_locate(options: Locate, *, monitor: Monitor | None = None) -> Located:
         )
         write_report(folder, dataclasses.asdict(inputs.options), located, monitor=monitor)
     return dataclasses.replace(located, seconds=monitor.elapsed())
-
-
-def _dropped_settings(options: Locate) -> list[str]:
-    """A warning if --config is for another method than --method."""
-    if options.config is None:
-        return []
-    method = read_config_file(options.config).method
-    if method == options.method:
-        return []
-    return [
-        f"{options.config}: is for the method {method}; the settings that depend on the method "
-        f"were dropped, as --method is {options.method}"
-    ]

@@ -52,9 +52,8 @@ class Locate(SceneOptions):
 
     Attributes:
         config: Options from the result.json of an earlier run (or its folder), or from a TOML or
-            JSON file as above. Command-line options override the file. Pass None to unset a value,
-            as in --masks None, and --no- to unset a switch, as in --no-all-views. Paths in the file
-            are relative to the current folder.
+            JSON file as above. Command-line options override the file: --masks None unsets a
+            value, --no-all-views a switch. Paths are relative to the current folder.
         dry_run: Validate all input and print the resolved configuration. Writes nothing to --out.
         masks: Folder with a mask per camera: CAMERA.png.
         detector: Detectors that contribute evidence besides --masks: `native`, the attributes of
@@ -63,10 +62,8 @@ class Locate(SceneOptions):
             decoder.onnx of SAFIRE; both; or `none`.
         preset: Input and output format of a published model: iml-vit, trufor, mvss-net or pscc-net.
         spec: Input and output format of any other model, as a TOML file with the fields of the
-            class OnnxSpec. Without --preset and --spec, MODEL.toml beside MODEL.onnx is used if it
-            exists.
-        provider: Execution provider of onnxruntime, such as cuda. Operations that it lacks run on
-            the CPU.
+            class OnnxSpec, by default MODEL.toml beside MODEL.onnx if it exists.
+        provider: Execution provider of onnxruntime, such as cuda.
         threads: Number of CPU threads of the model.
         method: `robust` estimates the reliability of every mask. GS-Checker trusts all views
             alike: `official` follows the schedule of its released code, `paper` its equations,
@@ -74,8 +71,7 @@ class Locate(SceneOptions):
         all_views: Run the --detector on the views of all cameras. Otherwise `robust` stops when
             further views no longer change the labels, unless --views gives a number.
         lambda2: For official and paper: price of the weight of a Gaussian outside the masks. At
-            price 10, 91 % of the weight has to lie inside them, at 1 half of it. A smaller price
-            labels more where masks miss or disagree.
+            price 10, 91 % of the weight has to lie inside them, at 1 half of it.
         epochs: For official and paper: how often the optimisation visits each view.
         threshold: Score above which a Gaussian is labelled as tampered: a probability for `robust`,
             a score relative to the maximum for GS-Checker.

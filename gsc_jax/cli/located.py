@@ -14,12 +14,9 @@ class Located:
     """A finished run of `locate`.
 
     Attributes:
-        scene: The scene file.
         cameras: The views that have a mask in the result.
-        result: The result of `gsc_jax.locate`.
         stages: Seconds and peak memory in MiB of each stage, reading and writing included.
         seconds: Wall time, reading and writing included.
-        warnings: Sentences for the user.
     """
 
     scene: PlyScene

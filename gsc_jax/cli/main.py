@@ -61,13 +61,7 @@ exit codes:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command.
-
-    Args:
-        argv: Arguments, by default those of the process.
-
-    Returns:
-        The exit code.
+    """Run a command, by default that of the arguments of the process; return the exit code.
 
     Raises:
         SystemExit: with code 0 after --help, with code 2 if the options cannot be parsed.
@@ -92,12 +86,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 def parse(argv: Sequence[str]) -> Command:
     """Parse the arguments; with --config, the file supplies the defaults of `locate`.
 
-    Args:
-        argv: The arguments.
-
     Raises:
         InputError: if the file of --config is invalid.
-        SystemExit: as `main`.
     """
     finder = argparse.ArgumentParser(prog="gsc-jax locate", add_help=False, allow_abbrev=False)
     finder.add_argument("--config", type=Path)

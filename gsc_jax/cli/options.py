@@ -20,12 +20,7 @@ Regime = Literal[
 
 
 def arg(metavar: str | None = None, default: str = "") -> Any:
-    """Settings of an option in the help.
-
-    Args:
-        metavar: Placeholder of the value.
-        default: Description of the default where its value is None, False or empty.
-    """
+    """Placeholder of an option, and its default if that is None, False or empty, in the help."""
 
     def hint(value: str) -> str:
         shown = default if value in ("None", "False", "") else value
@@ -47,15 +42,13 @@ class SceneOptions:
             and sog.
         out: Folder for the results, created if missing.
         cameras: cameras.json, transforms.json, a COLMAP model (extra `colmap`), or a folder that
-            holds one of them. Without it, cameras are placed on an orbit around the scene and
-            written beside the results.
-        views: Use only this many cameras, evenly spaced in their order, of those that can be used.
-            On an orbit: the number of cameras, by default 24.
-        scale: Image size relative to the size in the camera file; 0.5 has a quarter of the pixels.
+            holds one of them. Without it, cameras are placed on an orbit around the scene.
+        views: Use only this many cameras, evenly spaced in their order. On an orbit: the number of
+            cameras, by default 24.
+        scale: Image size relative to the size in the camera file.
         near: Near plane in world units; anything closer to a camera is not rendered.
-        seed: Seed of everything random, the orbit included.
-        no_cache: Do not use the cache folder of this user, neither for compiled functions nor for
-            the outputs of a 2D network.
+        seed: Seed of everything random.
+        no_cache: Do not use the cache folder of this user.
     """
 
     scene: Annotated[tyro.conf.Positional[Path], arg("SCENE.ply")]
@@ -74,10 +67,9 @@ class Render(SceneOptions):
 
     for example:
       gsc-jax render scene.ply --cameras cameras.json --out views
-      gsc-jax render scene.ply --out views --background 1 1 1
 
-    the images are input for a 2D detector of your own:
-      `gsc-jax locate` reads the masks that the detector writes (--masks)
+    The images are input for a 2D detector of your own;
+    `gsc-jax locate --masks` reads the masks that it writes.
 
     Attributes:
         background: Background colour: red, green and blue from 0 to 1.
@@ -134,15 +126,13 @@ class Demo:
     for example:
       gsc-jax demo --out demo
 
-    the scene:
-      A furnished room with a vase pasted onto the table, and masks of
-      a simulated 2D detector with typical failures. Nothing is
-      downloaded.
+    The scene is a furnished room with a vase pasted onto the table,
+    with masks of a simulated 2D detector. Nothing is downloaded.
 
     Attributes:
         out: Folder for the scene, the masks and the results, created if missing.
         seed: Seed of the room, the cameras and the failures of the detector.
-        no_cache: Do not use the cache folder of this user for compiled functions.
+        no_cache: Do not use the cache folder of this user.
     """
 
     out: Annotated[Path, arg("DIR")]
@@ -160,17 +150,15 @@ class View:
 
     the page shows:
       the scene in its own colours, a heat map of the scores, or only
-      the tampered Gaussians, with a slider for the threshold and a
-      list of cameras
+      the tampered Gaussians, and a list of cameras; if it is served,
+      also a slider for the threshold
 
     Attributes:
         folder: Folder with the results of `locate`.
         html: Write a page that needs no server to this file, instead of serving one.
         port: Port of the server.
-        host: Address of the server: `localhost` for this machine only, 0.0.0.0 for all machines
-            that can reach it.
-        most: Maximum number of Gaussians: the tampered ones, then those with the largest product of
-            opacity and area. The memory of browsers is limited.
+        host: Address of the server; 0.0.0.0 lets other machines connect.
+        most: Maximum number of Gaussians: the tampered ones, then the largest and most opaque ones.
         no_browser: Do not open the page in a browser, only print its address.
     """
 
@@ -189,13 +177,11 @@ class Evaluate:
     for example:
       gsc-jax evaluate found --truth edited/labels.npy edited/truth
 
-    the masks of the 2D detector, if there are any:
-      are compared with the same truth, which shows what lifting them
-      to the Gaussians gains
+    The masks of the 2D detector are compared with the same truth.
 
     Attributes:
         folder: Folder with the results of `locate`.
-        truth: Truth: labels.npy, bool by row of the scene file; a folder with a mask per camera,
+        truth: labels.npy, bool by row of the scene file; a folder with a mask per camera,
             CAMERA.png; or both, as `gsc-jax tamper` writes them.
         out: File for the scores.
     """

@@ -48,27 +48,21 @@ def write_results(
     *,
     monitor: Monitor | None = None,
 ) -> None:
-    """Write all results except report.html and result.json.
-
-    Args:
-        folder: Folder of results.
-        scene: The scene file.
-        cameras: The cameras that have a mask in the result.
-        result: What `locate` returned.
-        monitor: Receives progress.
-    """
+    """Write all results except report.html and result.json."""
     monitor = monitor or Monitor()
     kept = {camera.name for camera in evenly_spaced(cameras, OVERVIEW_RENDERS)}
     monitor.progress("write", 0, len(cameras))
     save_cameras(folder / "views.json", cameras)
-    _write_scenes(folder, scene, result)
+    save_tampered(folder / "tamper.ply", scene, result.tamper)
+    save_highlight(folder / "highlight.ply", scene.gaussians, result.labels)
+    save_array(folder / "labels.npy", scene.expand(result.labels))
+    save_array(folder / "tamper.npy", scene.expand(result.tamper))
     monitor.progress("write", 0, len(cameras))  # from here on, time is proportional to the views
     gaussians = jax.device_put(scene.gaussians)
     renders: dict[str, np.ndarray] = {}
 
     def write_view(camera: Camera) -> np.ndarray:
-        _write_masks(folder, camera, result)
-        return _write_pictures(folder, gaussians, camera, result)
+        return _write_view(folder, gaussians, camera, result)
 
     with ThreadPoolExecutor(WORKERS) as pool:
         images = zip(cameras, bounded_map(pool, write_view, cameras), strict=True)
@@ -82,14 +76,7 @@ def write_results(
 def write_report(
     folder: Path, command: dict[str, Any], located: Located, *, monitor: Monitor | None = None
 ) -> None:
-    """Write report.html, and result.json with the same numbers.
-
-    Args:
-        folder: Folder of results, whose files are listed.
-        command: Arguments of the command line.
-        located: The run.
-        monitor: Receives progress.
-    """
+    """Write report.html, and result.json with the same numbers and all files of the folder."""
     outputs = sorted([*files_below(folder), "report.html", "result.json"])
     report = jsonable({**_numbers(command, located), "outputs": outputs})
     page = report_page(folder, report, located, monitor=monitor)
@@ -102,14 +89,16 @@ def _numbers(command: dict[str, Any], located: Located) -> dict[str, Any]:
     """Configuration and results of a run."""
     result = located.result
     config = dataclasses.asdict(result.estimator)  # pyright: ignore[reportArgumentType]
-    stopping = result.early_stopping
+    stopping, prior = result.early_stopping, result.prior
+    traces = [trace for trace in getattr(prior, "traces", ()) if trace.found]
     return {
         "command": command,
         "method": result.method,
         "config": config,
         "seed": result.estimator.seed,
         "verdict": result.verdict,
-        "attributes": _attributes(result),
+        "attributes": prior
+        and {"verdict": prior.verdict, "traces": {t.name: t.explanation for t in traces}},
         "counts": _counts(located),
         "views": len(result.masks),
         "judged_views": len(result.probabilities),
@@ -121,17 +110,6 @@ def _numbers(command: dict[str, Any], located: Located) -> dict[str, Any]:
         "warnings": located.warnings,
         "versions": versions(),
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
-    }
-
-
-def _attributes(result: Result) -> dict[str, Any] | None:
-    """Evidence of the attributes of the Gaussians, if it was used."""
-    if result.prior is None:
-        return None
-    traces = getattr(result.prior, "traces", ())
-    return {
-        "verdict": result.prior.verdict,
-        "traces": {trace.name: trace.explanation for trace in traces if trace.found},
     }
 
 
@@ -160,28 +138,15 @@ def _view(camera: Camera, result: Result) -> dict[str, Any]:
     }
 
 
-def _write_scenes(folder: Path, scene: PlyScene, result: Result) -> None:
-    save_tampered(folder / "tamper.ply", scene, result.tamper)
-    save_highlight(folder / "highlight.ply", scene.gaussians, result.labels)
-    save_array(folder / "labels.npy", scene.expand(result.labels))
-    save_array(folder / "tamper.npy", scene.expand(result.tamper))
-
-
-def _write_masks(folder: Path, camera: Camera, result: Result) -> None:
-    name = camera.name
-    write_mask(image_path(folder / "masks", name), result.masks[name])
+def _write_view(folder: Path, gaussians: Gaussians, camera: Camera, result: Result) -> np.ndarray:
+    """Write the masks and pictures of a view; return the render."""
+    name, mask = camera.name, result.masks[camera.name]
+    write_mask(image_path(folder / "masks", name), mask)
     if name in result.probabilities:
         write_probability(image_path(folder / "detector", name), result.probabilities[name])
-
-
-def _write_pictures(
-    folder: Path, gaussians: Gaussians, camera: Camera, result: Result
-) -> np.ndarray:
-    """Write the render of a view and the same with its mask; return the render."""
     image = np.asarray(render(gaussians, camera, near=result.estimator.near)[0])
-    write_jpeg(jpeg_path(folder / "render", camera.name), image)
-    marked = overlay(image, result.masks[camera.name])
-    write_jpeg(jpeg_path(folder / "overlay", camera.name), marked)
+    write_jpeg(jpeg_path(folder / "render", name), image)
+    write_jpeg(jpeg_path(folder / "overlay", name), overlay(image, mask))
     return image
 
 

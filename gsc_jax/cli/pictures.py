@@ -46,11 +46,7 @@ def jpeg_path(folder: str | Path, name: str) -> Path:
 
 
 def write_jpeg(path: str | Path, rgb: np.ndarray) -> None:
-    """Write a picture and the folders of its path.
-
-    Args:
-        path: The .jpg to write or to replace.
-        rgb: Colours, clipped to [0, 1], shape (H, W, 3).
+    """Write a picture (H, W, 3), clipped to [0, 1], and the folders of its path.
 
     Raises:
         InputError: if the file cannot be written.
@@ -71,13 +67,7 @@ def contact_sheet(
     titles: Sequence[str],
     labels: Sequence[str],
 ) -> None:
-    """Write pictures as a table.
-
-    Args:
-        path: The .png to write or to replace.
-        rows: Pictures of each row, (H, W, 3) or grey (H, W), in [0, 1] or bool.
-        titles: Names of the columns.
-        labels: Names of the rows.
+    """Write pictures, (H, W, 3) or grey (H, W), in [0, 1] or bool, as a table into a .png.
 
     Raises:
         InputError: if the file cannot be written.

@@ -5,16 +5,12 @@ from typing import TextIO
 
 from tqdm import tqdm
 
-UNITS: dict[str, str] = dict.fromkeys(("views", "masks", "render"), "view")
-"""Unit of each stage that counts something other than steps."""
+VIEW_STAGES = ("views", "masks", "render")
+"""Stages that count views."""
 
 
 class Bars:
-    """A `Progress` that draws a bar for each stage; a bar stays when the next one begins.
-
-    Args:
-        stream: Where to draw, by default stderr; nothing is drawn unless it is a terminal.
-    """
+    """A `Progress` that draws a bar for each stage on a terminal, by default stderr."""
 
     def __init__(self, stream: TextIO | None = None) -> None:
         self._stream = stream or sys.stderr
@@ -31,7 +27,7 @@ class Bars:
                 desc=f"{stage:8}",
                 total=total,
                 initial=done,
-                unit=UNITS.get(stage, "it"),
+                unit="view" if stage in VIEW_STAGES else "it",
                 file=self._stream,
                 disable=None,
             )

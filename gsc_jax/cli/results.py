@@ -10,14 +10,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pydantic
 
 from gsc_jax.io.cameras import load_cameras
+from gsc_jax.io.files import existing_file
 from gsc_jax.io.ply import read_ply
-from gsc_jax.io.validation import one_line
 from gsc_jax.scene import Camera, Gaussians, InputError
 
 AGAIN = "run gsc-jax locate again"
+KEYS = {"config", "counts", "per_view", "tampered_share_of_views", "verdict"}
+"""Keys of result.json that are read again."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -50,31 +51,6 @@ class Results:
         return float(self.report["config"]["threshold"])
 
 
-class _Config(pydantic.BaseModel):
-    threshold: float
-    near: float
-
-
-class _Counts(pydantic.BaseModel):
-    gaussians: int
-    tampered: int
-
-
-class _View(pydantic.BaseModel):
-    name: str
-    width: int
-    height: int
-
-
-class _Report(pydantic.BaseModel):
-    """The keys of result.json that are read again."""
-
-    config: _Config
-    counts: _Counts
-    per_view: list[_View]
-    tampered_share_of_views: float
-
-
 def read_results(folder: str | Path) -> Results:
     """Read the results of `gsc-jax locate`.
 
@@ -88,24 +64,47 @@ def read_results(folder: str | Path) -> Results:
     folder = Path(folder)
     report = _read_report(folder)
     scene = read_ply(folder / "tamper.ply")
-    tamper = _read_by_row(folder / "tamper.npy", scene.total, np.floating)
-    labels = _read_by_row(folder / "labels.npy", scene.total, np.bool_)
-    expected, found = report["counts"]["tampered"], int(np.count_nonzero(labels[scene.rows]))
-    if expected != found:
-        raise InputError(
-            f"{folder / 'labels.npy'}: {found:,} Gaussians are labelled, but {expected:,} in "
-            f"result.json; they are of different runs: {AGAIN}"
-        )
+    tamper = read_by_row(folder / "tamper.npy", scene.total)[scene.rows]
+    labels = read_by_row(folder / "labels.npy", scene.total)[scene.rows]
+    cameras = load_cameras(existing_file(folder / "views.json", expected="the cameras of the run"))
+    views = [(view["name"], view["width"], view["height"]) for view in report["per_view"]]
+    for name, same in (
+        ("labels.npy", report["counts"]["tampered"] == np.count_nonzero(labels)),
+        ("views.json", views == [(c.name, c.width, c.height) for c in cameras]),
+    ):
+        if not same:
+            raise InputError(f"{folder / name}: result.json is of a different run; {AGAIN}")
     return Results(
         folder=folder,
         report=report,
         gaussians=scene.gaussians,
         rows=scene.rows,
         total=scene.total,
-        tamper=tamper[scene.rows].astype(np.float32),
-        labels=labels[scene.rows],
-        cameras=_read_cameras(folder / "views.json", report["per_view"]),
+        tamper=tamper.astype(np.float32),
+        labels=labels.astype(bool),
+        cameras=cameras,
     )
+
+
+def read_by_row(path: Path, total: int) -> np.ndarray:
+    """Read a .npy file with a number per row of a scene file.
+
+    Raises:
+        InputError: if it cannot be read, or does not hold `total` numbers.
+    """
+    expected = f"a .npy of {total:,} numbers, one per row of the scene"
+    existing_file(path, expected=expected)
+    try:
+        values = np.load(path, allow_pickle=False)
+    except (OSError, ValueError, EOFError) as error:
+        raise InputError(f"{path}: damaged ({error}), expected {expected}") from error
+    if not isinstance(values, np.ndarray):  # an .npz
+        raise InputError(f"{path}: several arrays, expected {expected}")
+    if values.shape != (total,) or values.dtype.kind not in "biuf":
+        raise InputError(
+            f"{path}: holds {values.dtype} of shape {values.shape}, expected {expected}"
+        )
+    return values
 
 
 def _read_report(folder: Path) -> dict[str, Any]:
@@ -113,43 +112,12 @@ def _read_report(folder: Path) -> dict[str, Any]:
     if not path.is_file():
         found = "holds no results of gsc-jax locate" if folder.is_dir() else "no such folder"
         raise InputError(f"{folder}: {found} (result.json); give the --out of a run")
-    report = None
     try:
         report = json.loads(path.read_text(encoding="utf-8"))
-        _Report.model_validate(report)
-    except pydantic.ValidationError as error:
-        raise InputError(
-            f"{one_line(error, str(path), report)}; the version is another one: {AGAIN}"
-        ) from error
-    except (OSError, ValueError) as error:
+        missing = KEYS.difference(report)
+    except (OSError, ValueError, TypeError) as error:
         raise InputError(f"{path}: damaged ({error}); {AGAIN}") from error
+    if missing:
+        names = ", ".join(sorted(missing))
+        raise InputError(f"{path}: {names} missing, the version is another one; {AGAIN}")
     return report
-
-
-def _read_by_row(path: Path, total: int, kind: type) -> np.ndarray:
-    """An array with a value per row of the scene file."""
-    try:
-        values = np.load(path, allow_pickle=False)
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: no such file; {AGAIN}") from error
-    except (OSError, ValueError, EOFError) as error:
-        raise InputError(f"{path}: damaged ({error}); {AGAIN}") from error
-    if values.shape != (total,) or not np.issubdtype(values.dtype, kind):
-        raise InputError(
-            f"{path}: holds {values.dtype} values of shape {values.shape}, but tamper.ply has "
-            f"{total:,} rows; they are of different runs: {AGAIN}"
-        )
-    return values
-
-
-def _read_cameras(path: Path, views: list[dict[str, Any]]) -> list[Camera]:
-    if not path.is_file():
-        raise InputError(f"{path}: no such file; {AGAIN}")
-    cameras = load_cameras(path)
-    stored = [(camera.name, camera.width, camera.height) for camera in cameras]
-    if stored != [(view["name"], view["width"], view["height"]) for view in views]:
-        raise InputError(
-            f"{path}: the cameras are not the {len(views)} of result.json; they are of different "
-            f"runs: {AGAIN}"
-        )
-    return cameras

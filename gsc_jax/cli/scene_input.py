@@ -36,11 +36,6 @@ def read_scene(
 ) -> tuple[PlyScene, list[Camera]]:
     """Read the scene file and the cameras, scaled and with names that can name files.
 
-    Args:
-        options: Arguments of the command line.
-        warnings: Receives what a user should know about the files.
-        monitor: Receives progress.
-
     Raises:
         InputError: if a file is invalid.
     """
@@ -78,8 +73,7 @@ def _read_cameras(options: SceneOptions, gaussians: Gaussians, warnings: list[st
         if side < MIN_SIDE_PIXELS or pixels > MAX_PIXELS:
             raise InputError(
                 f"--scale {options.scale:g}: camera {camera.name!r} would have {camera.width} x "
-                f"{camera.height} pixels, expected sides of at least {MIN_SIDE_PIXELS} and at most "
-                f"{MAX_PIXELS:,} pixels in total"
+                f"{camera.height} pixels; choose another scale"
             )
     return scaled
 
@@ -108,15 +102,11 @@ def _check_names(cameras: Sequence[Camera]) -> None:
     names: dict[Path, str] = {}
     for camera in cameras:
         if camera.name != camera.name.encode(errors="replace").decode():  # lone surrogates
-            raise InputError(
-                f"camera {camera.name!r}: its name is not valid text and cannot name files; rename "
-                "it"
-            )
+            raise InputError(f"camera {camera.name!r}: its name cannot name files; rename it")
         path = image_path("masks", camera.name)
         if path in names:
             raise InputError(
-                f"cameras {names[path]!r} and {camera.name!r} would share one mask file, as their "
-                "names differ only in slashes; rename one"
+                f"cameras {names[path]!r} and {camera.name!r}: differ only in slashes; rename one"
             )
         names[path] = camera.name
 

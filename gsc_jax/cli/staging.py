@@ -50,25 +50,13 @@ EVALUATION = "evaluation.json"
 def refuse_overlap(
     out: Path, inputs: Sequence[Path], *, written: Sequence[str] = (*FILES, *BY_CAMERA)
 ) -> None:
-    """Refuse a folder of results in which the run would overwrite its input.
-
-    Args:
-        out: The folder of results.
-        inputs: Files and folders that are read.
-        written: Names in the folder that are written.
-
-    Raises:
-        InputError: naming the input.
-    """
+    """Raise InputError if writing the names `written` in the folder `out` overwrites an input."""
     results = [(out / name).resolve() for name in written]
     # A folder is read for the files in it, such as DIR/cameras.json.
     inside = [folder / name for folder in inputs for name in written if folder.is_dir()]
     for path in [*inputs, *(path for path in inside if path.exists())]:
         if any(path.resolve().is_relative_to(result) for result in results):
-            raise InputError(
-                f"{path}: is an input, and the results would overwrite it; give another --out than "
-                f"{out}"
-            )
+            raise InputError(f"{path}: the results would overwrite this input; give another --out")
 
 
 @contextlib.contextmanager
@@ -86,9 +74,6 @@ def replacing(
         keep: Files and folders that the run reads; none of them is removed as a leftover.
         report: The file that lists the `outputs`; it is moved last, after report.html.
         by_camera: Folders with a picture per camera, in which an earlier run may have left some.
-
-    Yields:
-        An empty folder inside `out`.
 
     Raises:
         InputError: if `out` cannot be written to, or a folder exists where a file belongs.
@@ -149,22 +134,18 @@ def _publish(folder: Path, out: Path, report: str, leftovers: Iterable[str]) -> 
 
 def _refuse_blocked(out: Path, names: Sequence[str]) -> None:
     """Refuse folders where files belong, and files where folders belong."""
-    files = [out / name for name in names if (out / name).is_dir()]
-    parents = {out / place for name in names for place in PurePosixPath(name).parents}
-    folders = [place for place in sorted(parents) if place.exists() and not place.is_dir()]
-    if blocked := [*files, *folders]:
-        kind = "folder" if files else "file"
-        raise InputError(
-            f"{blocked[0]}: is a {kind}, where the results would go; move it, or give another "
-            f"--out than {out}"
-        )
+    folders = {out / place for name in names for place in PurePosixPath(name).parents}
+    blocked = [out / name for name in names if (out / name).is_dir()]
+    blocked += [place for place in sorted(folders) if place.exists() and not place.is_dir()]
+    if blocked:
+        kind = "folder" if blocked[0].is_dir() else "file"
+        raise InputError(f"{blocked[0]}: is a {kind}, where the results would go; move it")
 
 
 def _leftovers(out: Path, report: str, by_camera: Sequence[str], keep: Sequence[Path]) -> list[str]:
     """Pictures and scores of an earlier run, except inputs of this one.
 
-    The old report may be damaged or of another program, so that only its entries that are pictures
-    in one of the folders count.
+    The old report may be damaged or of another program: only pictures in the folders count.
     """
     try:
         outputs = json.loads((out / report).read_text(encoding="utf-8"))["outputs"]
@@ -178,12 +159,12 @@ def _leftovers(out: Path, report: str, by_camera: Sequence[str], keep: Sequence[
     ]
     names += [EVALUATION] if PurePosixPath("result.json") in paths else []
     inputs = [path.resolve() for path in keep]
-
-    def removable(path: Path) -> bool:
-        exists = path.is_file() or path.is_symlink()
-        return exists and not any(path.resolve().is_relative_to(place) for place in inputs)
-
-    return [name for name in names if removable(out / name)]
+    return [
+        name
+        for name in names
+        if ((out / name).is_file() or (out / name).is_symlink())
+        and not any((out / name).resolve().is_relative_to(place) for place in inputs)
+    ]
 
 
 def _not_writable(path: Path, error: OSError) -> InputError:

@@ -1,8 +1,9 @@
 """`gsc-jax tamper`: edit a scene file and write it with its truth, to test `locate`."""
 
+import contextlib
 import dataclasses
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import jax
@@ -64,8 +65,7 @@ def run_tamper(options: Tamper, *, monitor: Monitor) -> tuple[list[str], list[st
             edited = tamper(
                 scene.gaussians,
                 cameras,
-                options.edit,
-                donor=donor,
+                options.edit if donor is None else donor,
                 size=options.size,
                 near=options.near,
                 seed=options.seed,
@@ -82,9 +82,7 @@ def _check(options: Tamper) -> list[Path]:
     if options.object is not None and options.edit != "incorporation":
         raise InputError(f"--object: a {options.edit} pastes nothing; leave it out")
     if not 0 < options.size <= 0.5:
-        raise InputError(
-            f"--size {options.size:g}: expected a share of the pixels above 0, up to 0.5"
-        )
+        raise InputError(f"--size {options.size:g}: expected a share above 0, up to 0.5")
     if (options.out / "result.json").exists():
         raise InputError(f"{options.out}: holds results of `locate`; give another --out")
     existing = [name for name in OUTPUTS if (options.out / name).exists()]
@@ -105,11 +103,18 @@ def _donor(options: Tamper) -> Gaussians | None:
     if options.object is None:
         return make_object(seed=options.seed)
     donor = load_ply(options.object)
-    try:
+    with _naming(options.object, "expected a .ply of one object"):
         extent(donor)
-    except ValueError as error:
-        raise InputError(f"{options.object}: {error}; expected a .ply of one object") from error
     return donor
+
+
+@contextlib.contextmanager
+def _naming(path: Path, remedy: str) -> Iterator[None]:
+    """Turn a ValueError into an InputError that names a file and the remedy."""
+    try:
+        yield
+    except ValueError as error:
+        raise InputError(f"{path}: {error}; {remedy}") from error
 
 
 def _write(
@@ -127,51 +132,33 @@ def _write(
 
     truth = masks(edited.labels, "truth")
     write_scene(folder, edited.gaussians, cameras, edited.labels)
-    write_truth(folder / "truth", dict(zip(names, truth, strict=True)))
+    write_views(folder / "truth", dict(zip(names, truth, strict=True)), write_mask)
     if options.masks != "none":
         failures = REGIMES[options.masks]
-        decoy = masks(_decoy(options, edited), "decoy") if failures.decoy else None
+        decoy = None
+        if failures.decoy:
+            with _naming(options.scene, "choose --masks clean"):
+                labels = decoy_labels(edited.gaussians, edited.labels, seed=options.seed)
+            decoy = masks(labels, "decoy")
         maps = simulate(truth, decoy, seed=options.seed, failures=failures)
-        write_probabilities(folder / "masks", dict(zip(names, maps, strict=True)))
-
-
-def _decoy(options: Tamper, edited: Tampered) -> np.ndarray:
-    """Labels of an authentic region that the simulated detector flags."""
-    try:
-        return decoy_labels(edited.gaussians, edited.labels, seed=options.seed)
-    except ValueError as error:
-        raise InputError(
-            f"{options.scene}: {error}, so that no authentic region can be flagged; choose --masks "
-            "clean"
-        ) from error
+        write_views(folder / "masks", dict(zip(names, maps, strict=True)), write_probability)
 
 
 def write_scene(
     folder: Path, gaussians: Gaussians, cameras: Sequence[Camera], labels: np.ndarray
 ) -> None:
-    """Write scene.ply, cameras.json and labels.npy.
-
-    Args:
-        folder: Folder of the files.
-        gaussians: N Gaussians.
-        cameras: The cameras.
-        labels: True where tampered, shape (N,).
-    """
+    """Write scene.ply, cameras.json and labels.npy (N bool, true where tampered)."""
     save_ply(folder / "scene.ply", gaussians)
     save_cameras(folder / "cameras.json", cameras)
     save_array(folder / "labels.npy", labels)
 
 
-def write_truth(folder: Path, truth: Mapping[str, np.ndarray]) -> None:
-    """Write the tampered pixels of every view, black and white, named after its camera."""
-    for name, mask in truth.items():
-        write_mask(image_path(folder, name), mask)
-
-
-def write_probabilities(folder: Path, probabilities: Mapping[str, np.ndarray]) -> None:
-    """Write the probability map of every view, grey, named after its camera."""
-    for name, probability in probabilities.items():
-        write_probability(image_path(folder, name), probability)
+def write_views(
+    folder: Path, images: Mapping[str, np.ndarray], write: Callable[[Path, np.ndarray], None]
+) -> None:
+    """Write an image for every camera, named after it."""
+    for name, image in images.items():
+        write(image_path(folder, name), image)
 
 
 def _write_description(

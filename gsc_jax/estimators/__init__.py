@@ -1,7 +1,7 @@
 """Estimators: from the evidence of all views and a prior to a score and a label per Gaussian.
 
-To add one, write a frozen dataclass with the members of `protocol.Estimator` and add it to
-`METHODS`; `locate`, the command line and the experiments then accept it.
+To add one, derive a frozen dataclass from `protocol.Estimator` and add its name to `Method` and
+`METHODS`; `locate` and the command line then accept it.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence

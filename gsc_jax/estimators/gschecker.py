@@ -2,7 +2,7 @@
 
 The paper leaves details open, and its released code differs from its equations. Both are
 configurations of one estimator: which vote gives the initial attribute (eq. 5 and 6), which
-attributes the 3D loss compares (eq. 7 and 8), the schedule of the optimisation (eq. 10 to 12), the
+attributes the 3D loss compares (eq. 7 and 8), the schedule of the optimisation (eq. 9 to 12), the
 threshold.
 """
 
@@ -43,7 +43,7 @@ class GSChecker(Estimator):
         loop: Weights and schedule of the optimisation.
         threshold: Score above which a Gaussian is labelled.
         mask_rule: How labels become the mask of a view.
-        path: `evidence`, or `rendered`: render in every step, slower, for comparison.
+        path: `evidence`, or `rendered`: render the attribute in every step (eq. 9), slower.
         near: Near plane in world units.
         seed: Seed of the order of the views.
 
@@ -80,7 +80,7 @@ class GSChecker(Estimator):
                 f"{self.epochs}, {self.threshold} and {self.near}"
             )
 
-    def resolved(self, views: int) -> "GSChecker":
+    def for_views(self, views: int) -> "GSChecker":
         """Fill in the iteration at which the 3D loss joins."""
         return dataclasses.replace(self, loop=resolved(self.loop, self.epochs * views))
 
@@ -95,7 +95,7 @@ class GSChecker(Estimator):
             The finding. It is defined also if all masks are empty or full, where the attribute
             means nothing.
         """
-        r = self.initial_attribute(observation)  # eq. 5 and 6
+        r = self.initial_attribute(observation)  # eq. 6, from the votes of eq. 5
         F = ATTRIBUTES[self.attributes](observation.gaussians)  # what eq. 7 compares
         attribute, group_sizes = self._optimise(observation, r, F)  # eq. 7 to 12
         finding = unanimous(observation.evidence)

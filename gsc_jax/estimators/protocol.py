@@ -28,8 +28,8 @@ class Prior:
             (N,) in [0, 1]; needs a value also where `known` is false.
         verdict: Probability that the scene was edited.
         known: Gaussians for which the probability means something, shape (N,) bool.
-        exact: Whether the prior identifies the tampered Gaussians exactly, so that masks do not
-            overrule it.
+        exact: Whether the prior identifies the tampered Gaussians exactly; it then keeps half of
+            the weight even where masks agree.
 
     Raises:
         ValueError: if a value is outside its range or a shape differs.
@@ -123,7 +123,7 @@ class Estimator(abc.ABC):
             prior: Probability per Gaussian from another source.
         """
 
-    def resolved(self, views: int) -> Self:
+    def for_views(self, views: int) -> Self:
         """The estimator with defaults that depend on the number of views filled in."""
         del views
         return self

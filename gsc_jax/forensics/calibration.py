@@ -57,13 +57,9 @@ class Classification:
 def calibrate(
     raw: np.ndarray, means: np.ndarray, known: np.ndarray, classifier: Classifier
 ) -> Classification:
-    """Calibrate the raw log odds of a scene.
+    """Calibrate smoothed raw log odds (M,) of the Gaussians with these means (M, 3).
 
-    Args:
-        raw: Smoothed raw log odds of the M known Gaussians, shape (M,).
-        means: Their centres, shape (M, 3).
-        known: Mask of the M among all N Gaussians, shape (N,) bool.
-        classifier: Classifier with its calibration.
+    `known` is the mask of these M among all N Gaussians, shape (N,).
     """
     base = peak = classifier.base
     log_odds = np.full(len(known), base, np.float32)

@@ -48,11 +48,8 @@ def moved_together(
 ) -> np.ndarray:
     """Mask of Gaussians whose duplicate lies where those of their neighbours lie, shape (N,).
 
-    Args:
-        means: Centres, shape (N, 3).
-        reach: Distance to the last neighbour, shape (N,).
-        attributes: Attributes of the Gaussians, shape (N, D).
-        radius: Distance of duplicates in the attributes.
+    Duplicates are closer than the radius in the attributes (N, D); `reach` is the distance to the
+    last neighbour, shape (N,).
     """
     from scipy.spatial import KDTree
 

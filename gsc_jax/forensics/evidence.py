@@ -51,11 +51,6 @@ class ForensicEvidence(Prior):
     classification: Classification
 
     @property
-    def unconditional_probability(self) -> np.ndarray:
-        """Calibrated probability that a Gaussian is tampered in any scene, shape (N,)."""
-        return expit(self.log_odds)
-
-    @property
     def without_traces(self) -> "ForensicEvidence":
         """The evidence of the classifier alone."""
         return combine(self.classification, ())
@@ -147,11 +142,11 @@ def estimate_from_attributes(
     Returns:
         The finding. Its attribute is the log odds above `level`, and 0 where nothing is known.
     """
-    believed = evidence.verdict >= min_verdict
-    labels = (evidence.probability > threshold) & believed
+    edited = evidence.verdict >= min_verdict
+    labels = (evidence.probability > threshold) & edited
     relative = np.where(evidence.known, evidence.log_odds - evidence.level, 0)
     return Finding(
-        tamper=evidence.probability * believed,
+        tamper=evidence.probability * edited,
         labels=labels,
         attribute=relative.astype(np.float32),
         verdict=evidence.verdict,

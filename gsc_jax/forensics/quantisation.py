@@ -58,14 +58,7 @@ def off_levels(column: np.ndarray, neighbours: np.ndarray) -> tuple[np.ndarray, 
     """Mark values of one component that are not on its levels.
 
     Where hardly any value is shared, the component is not quantised and shared values are marked.
-
-    Args:
-        column: One component of each Gaussian, shape (N,).
-        neighbours: Nearest other Gaussians, shape (N, K).
-
-    Returns:
-        Gaussians off all levels and Gaussians on another set of levels, both (N,) bool; all False
-        if the component is neither quantised nor free of shared values.
+    Returns Gaussians off all levels and Gaussians on another set of levels, both (N,) bool.
     """
     nothing = np.zeros(len(column), bool)
     values, codes, counts = np.unique(column, return_inverse=True, return_counts=True)

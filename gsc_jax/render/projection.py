@@ -51,13 +51,8 @@ class Splats:
 def project(gaussians: Gaussians, camera: Camera, *, near: float = NEAR) -> Splats:
     """Project N Gaussians into a view.
 
-    Args:
-        gaussians: N Gaussians; those with parameters that are not finite are not visible.
-        camera: Pose, intrinsics and image size.
-        near: Near plane in world units; Gaussians closer than this are not visible.
-
-    Raises:
-        ValueError: if the near plane is not in front of the camera.
+    Gaussians with parameters that are not finite are not visible, nor are those closer than the
+    near plane, in world units; a near plane that is not positive is a ValueError.
     """
     if not near > 0:
         raise ValueError(f"near must be positive, got {near}")
@@ -160,10 +155,9 @@ def _cross(p, q):
 
 @jax.jit
 def project_centers(means: Array, viewmat: Array, K: Array) -> tuple[jax.Array, jax.Array]:
-    """Project centres (N, 3) by a viewmat (4, 4) and K (3, 3), without culling, for the vote.
+    """Pixels (N, 2) and depths (N,) of centres (N, 3), without culling, for the vote.
 
-    Returns:
-        Pixel coordinates (N, 2), meaningless where the depth is not positive, and depths (N,).
+    The pixels are meaningless where the depth is not positive.
     """
     means, viewmat, K = jnp.asarray(means), jnp.asarray(viewmat), jnp.asarray(K)
     rotated = jnp.matmul(means, viewmat[:3, :3].T, precision="highest")

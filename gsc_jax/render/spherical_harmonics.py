@@ -16,11 +16,7 @@ Y0 = 0.28209479177387814
 
 
 def basis(directions: jax.Array, degree: int) -> jax.Array:
-    """Evaluate the K = (degree + 1)^2 real harmonics at unit vectors (N, 3), shape (N, K).
-
-    Raises:
-        ValueError: if the degree is not 0 to 3.
-    """
+    """Evaluate the K = (degree + 1)^2 real harmonics at unit vectors (N, 3), shape (N, K)."""
     if not 0 <= degree <= 3:
         raise ValueError(f"degree of the spherical harmonics must be 0 to 3, got {degree}")
     x, y, z = jnp.moveaxis(directions, -1, 0)
@@ -50,15 +46,10 @@ def basis(directions: jax.Array, degree: int) -> jax.Array:
 
 @jax.jit
 def colors(sh: jax.Array, means: jax.Array, center: jax.Array) -> jax.Array:
-    """Compute the colours of Gaussians as seen from a point.
+    """Compute the RGB (N, 3) of Gaussians with these means (N, 3) as seen from a point (3,).
 
-    Args:
-        sh: Coefficients, shape (N, K, 3) with K = 1, 4, 9 or 16.
-        means: Centres of the Gaussians in the world, shape (N, 3).
-        center: Position of the camera in the world, shape (3,).
-
-    Returns:
-        RGB, shape (N, 3), not negative, may exceed 1; 0 where not finite.
+    The coefficients `sh` have shape (N, K, 3) with K = 1, 4, 9 or 16. The colours are not negative,
+    may exceed 1, and are 0 where not finite.
     """
     degree = round(sh.shape[1] ** 0.5) - 1
     towards = means - center[None]

@@ -154,11 +154,7 @@ class TileLists(NamedTuple):
 
 
 def bin_splats(splats: Splats, width: int, height: int) -> TileLists:
-    """List the splats of each tile of an image, in depth order, tiles in row-major order.
-
-    Raises:
-        InputError: if there are more than 2^28 intersections.
-    """
+    """List the splats of each tile of an image, in depth order, tiles in row-major order."""
     columns, rows = -(-width // TILE), -(-height // TILE)
     ellipses = _ellipses(splats)  # asynchronous: JAX computes them while NumPy sorts
     order = _front_to_back(np.asarray(splats.depths), np.asarray(splats.visible))

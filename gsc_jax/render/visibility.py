@@ -94,23 +94,20 @@ def _better_convention(
     points: np.ndarray, viewmats: Sequence[np.ndarray], cameras: Sequence[Camera]
 ) -> str:
     """Advice to read the poses in another convention, if the median camera then sees far more."""
-    current = _median_share(_depths(points, viewmats, cameras))
-    shares = {
-        convention: _median_share(_depths(points, [*map(convert, viewmats)], cameras))
-        for convention, convert in CONVENTIONS.items()
-    }
+
+    def median_share(convert) -> float:
+        # The median, because a few cameras see the scene by chance in any wrong convention.
+        depths = _depths(points, [*map(convert, viewmats)], cameras)
+        return float(np.median(np.mean(depths > 0, axis=1)))
+
+    shares = {convention: median_share(convert) for convention, convert in CONVENTIONS.items()}
     best = max(shares, key=shares.__getitem__)
-    if shares[best] <= max(LOW_SHARE, 3 * current):
+    if shares[best] <= max(LOW_SHARE, 3 * median_share(np.asarray)):
         return ""
     return (
         f"; perhaps the poses are to be read {best}: a camera would then typically see "
         f"{shares[best]:.0%}"
     )
-
-
-def _median_share(depths: np.ndarray) -> float:
-    # The median, because a few cameras see the scene by chance in any wrong convention.
-    return float(np.median(np.mean(depths > 0, axis=1)))
 
 
 def _scale_warnings(gaussians: Gaussians, points: np.ndarray) -> list[str]:

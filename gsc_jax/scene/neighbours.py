@@ -9,15 +9,9 @@ from gsc_jax.scene.parallel import WORKERS
 
 
 def nearest_neighbours(points: np.ndarray, rows: np.ndarray, count: int) -> np.ndarray:
-    """Find the nearest other points of some of the points.
+    """Find the nearest `count` < N other points of the rows (M,) of finite points (N, 3).
 
-    Args:
-        points: Finite, shape (N, 3).
-        rows: Indices of the points whose neighbours to find, shape (M,).
-        count: Number of neighbours, less than N.
-
-    Returns:
-        Indices into `points`, nearest first, shape (M, count).
+    Returns indices into `points`, nearest first, shape (M, count).
     """
     indices = _query(points, points[rows], count + 1)[1]
     # A point is its own nearest neighbour. More than `count` points at the same place can crowd it
@@ -70,11 +64,7 @@ def _query(points: np.ndarray, places: np.ndarray, count: int) -> tuple[np.ndarr
 
 
 def parts(points: np.ndarray, size: int) -> list[np.ndarray]:
-    """Split points (N, 3) into compact parts of at most `size`, by halving the longest side.
-
-    Returns:
-        Indices of the points of each part.
-    """
+    """Rows of compact parts of at most `size` points (N, 3), by halving the longest side."""
     pending, small = [np.arange(len(points))], []
     while pending:
         rows = pending.pop()

@@ -7,15 +7,9 @@ STD_PER_MAD = 1.4826
 
 
 def median_and_mad(values: np.ndarray, *, axis: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Compute location and scale that are robust to outliers.
+    """Compute the median, and the median absolute deviation in normal standard deviations.
 
-    Args:
-        values: Finite samples, any shape.
-        axis: Axis of the samples.
-
-    Returns:
-        Median, and median absolute deviation in units of a normal standard deviation; both keep
-        the axis with length 1.
+    Both keep the axis of the samples with length 1.
     """
     median = np.median(values, axis=axis, keepdims=True)
     return median, STD_PER_MAD * np.median(np.abs(values - median), axis=axis, keepdims=True)

@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 from cli_case import FIXTURES, contents, given, network, refused, report, run, unparsable
 
-from gsc_jax.cli import main as cli
 from gsc_jax.cli.config_file import read_config_file
 from gsc_jax.estimators import METHODS, RobustEstimator
 
@@ -93,20 +92,6 @@ def test_options_override_the_file_and_the_file_overrides_defaults(case, tmp_pat
     assert (config["threshold"], config["classes"], config["seed"]) == (0.7, [2, 3], 6)
 
 
-def test_fields_without_an_option(case, tmp_path):
-    file = tmp_path / "run.json"
-    content = {
-        "command": {"method": "paper", "cameras": str(case / "cameras.json")},
-        "config": {"consensus": "official", "loop": {"lambda1": 2, "learning_rate": 0.5}},
-    }
-    file.write_text(json.dumps(content))
-    scene = [case / "scene.ply", "--masks", case / "masks"]
-    assert run("locate", *scene, "--config", file, "--out", tmp_path / "out").code == 0
-    config = report(tmp_path / "out")["config"]
-    assert (config["consensus"], config["loop"]["lambda1"]) == ("official", 2.0)
-    assert config["loop"]["lambda2"] == METHODS["paper"].loop.lambda2  # pyright: ignore[reportAttributeAccessIssue]
-
-
 def test_another_method_drops_the_settings_of_the_method_of_the_file(case, tmp_path):
     one = tmp_path / "one"
     argv = ["--threshold", 0.7, "--near", 0.1, "--seed", 3]
@@ -128,10 +113,14 @@ def test_defaults_that_depend_on_the_number_of_views_are_resolved_again(case, tm
     assert report(one)["config"]["loop"]["contrastive_start"] == 5 * 3 // 2
     fewer = again(one, tmp_path / "fewer", "--views", 2)
     assert fewer["config"]["loop"]["contrastive_start"] == 5 * 2 // 2
+
+
+def test_fields_of_a_nested_table(case, tmp_path):
     file = tmp_path / "own.toml"
     file.write_text("[command]\nmethod = 'paper'\n[config.loop]\ncontrastive_start = 1\n")
     assert run(*given(case), "--config", file, "--out", tmp_path / "own").code == 0
-    assert report(tmp_path / "own")["config"]["loop"]["contrastive_start"] == 1
+    loop = report(tmp_path / "own")["config"]["loop"]
+    assert (loop["contrastive_start"], loop["lambda2"]) == (1, 10.0)
 
 
 def test_a_prior_weight_of_zero_disables_the_attributes(case, tmp_path):
@@ -150,31 +139,19 @@ def test_a_prior_weight_of_zero_disables_the_attributes(case, tmp_path):
         ("[command]\nvews = 3", ("command: unknown key 'vews'", "'views'?")),
         ("[config]\ntreshold = 0.3", ("config: unknown key 'treshold'", "'threshold'?")),
         ("views = 3", ("unknown key 'views'", "[command]")),
-        ("[command]\nviews = 'all'", ("command: views:", "integer", "'all'")),
         ("[command]\nviews = true", ("command: views:", "integer", "True")),
-        ("[command]\nscale = 'big'", ("command: scale:", "number", "'big'")),
         ("[command]\nscale = nan", ("command: scale:", "finite number", "nan")),
         ("[command]\nmethod = 'magic'", ("command: method:", "'robust'", "'magic'")),
         ("[command]\ndetector = 'native'", ("command: detector:", "array", "'native'")),
-        ("[command]\nall_views = 1", ("command: all_views:", "boolean", "found 1")),
         ("[command]\nviews = 0", ("--views 0",)),
         ("command = 3", ("command:", "found 3")),
         ("[config]\nclasses = [1]", ("config: classes must be", "(1,)")),
         ("[config]\nclasses = ['a']", ("config: classes[0]:", "integer")),
-        ("[config]\nthreshold = 2", ("config: threshold must be", "2")),
-        ("[config]\nepochs = 3", ("unknown key 'epochs'", "the method robust")),
         ("[config.loop]\nlambda1 = 3", ("unknown key 'loop'", "the method robust")),
-        (
-            "[command]\nmethod = 'paper'\n[config.loop]\nlamda1 = 3",
-            ("config: unknown key 'loop.lamda1'",),
-        ),
+        ("[command]\nmethod = 'paper'\n[config.loop]\nlamda1 = 3", ("'loop.lamda1'",)),
         ("[config]\nname = 'mine'", ("config.name:", "robust, official, paper", "'mine'")),
         ("[command]\nmethod = 'paper'\n[config]\nname = 'robust'", ("paper", "robust")),
-        (
-            "[command]\nthreshold = 0.3\n[config]\nthreshold = 0.4",
-            ("threshold", "0.3 in command", "0.4 in config"),
-        ),
-        ("[command]\nseed = 1\n[config]\nseed = 2", ("seed", "1 in command", "2 in config")),
+        ("[command]\nseed = 1\n[config]\nseed = 2", ("1 in command", "2 in config")),
         ("[command]\nviews = 2\n[config]\ntolerance = 0.1", ("config.tolerance",)),
         ("[command", ("not valid TOML",)),
     ],
@@ -193,15 +170,13 @@ def test_invalid_content(case, tmp_path, text, expected):
     [
         ("run.yaml", "a: 1", "expected a .toml or .json"),
         ("run.json", "[]", "expected the tables"),
-        ("run.json", "{", "not valid JSON"),
-        ("run.toml", None, "no such file"),
         ("edit.json", '{"command": {"edit": "removal"}}', "unknown key 'edit'"),
     ],
 )
 def test_files_of_another_kind(case, tmp_path, name, content, expected):
     file = tmp_path / name
-    if content is not None:
-        file.write_text(content)
+    assert "no such file" in refused(*given(case), "--config", file, "--out", tmp_path / "out")
+    file.write_text(content)
     message = refused(*given(case), "--config", file, "--out", tmp_path / "out")
     assert f"{file}: " in message
     assert expected in message
@@ -223,16 +198,3 @@ def test_every_field_of_every_estimator_survives_writing_and_reading(tmp_path, m
     table = dataclasses.asdict(config)
     file.write_text(json.dumps({"command": {"method": method}, "config": table}))
     assert read_config_file(file).estimator == config
-
-
-def test_help_shows_the_values_of_the_file_as_defaults(tmp_path, capsys, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "100")
-    file = tmp_path / "run.toml"
-    file.write_text('[command]\nscene = "mine.ply"\nviews = 7\nall_views = true\n')
-    with pytest.raises(SystemExit):
-        cli.main(["locate", "--config", str(file), "--help"])
-    text = capsys.readouterr().out
-    assert "default: mine.ply" in text
-    assert "default: 7" in text
-    assert "--no-all-views" in text
-    assert "default: all)" not in text

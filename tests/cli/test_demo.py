@@ -28,12 +28,6 @@ def finished(tmp_path_factory):
     return out, demo.run_demo(Demo(out=out, seed=1), made=made)
 
 
-def numbers(lines: list[str], begin: str) -> list[float]:
-    """Numbers of the first line with this beginning."""
-    line = next(line for line in lines if line.startswith(f"{begin}  "))
-    return [float(x) for x in re.findall(r"[\d.]+", line.removeprefix(begin).replace(",", ""))]
-
-
 def test_the_input_files_hold_the_scene(finished):
     out, _ = finished
     scene = read_ply(out / "input" / "scene.ply")
@@ -63,10 +57,9 @@ def test_the_printed_scores_are_those_of_the_files(finished, method):
     out, lines = finished
     labels = np.load(out / method / "labels.npy")
     score = confusion(labels, np.load(out / "input" / "labels.npy"))
-    assert numbers(lines, method)[:4] == [
-        labels.sum(),
-        *(pytest.approx(x, abs=5e-4) for x in (score.precision, score.recall, score.f1)),
-    ]
+    line = next(line for line in lines if line.startswith(f"{method}  ")).replace(",", "")
+    expected = [labels.sum(), score.precision, score.recall, score.f1]
+    assert [float(x) for x in line.split()[1:5]] == pytest.approx(expected, abs=5e-4)
 
 
 def test_the_introduction_states_the_score_of_the_masks(finished):
@@ -88,22 +81,8 @@ def test_the_printed_paths_exist(finished):
     paths = re.findall(rf"{re.escape(str(out))}\S*\.(?:png|html)", "\n".join(lines))
     picture, *reports = paths
     assert iio.imread(picture)[..., :3].std() > 10, "the picture is empty"
-    assert len(reports) == len(demo.RUNS) + 2
+    assert len(reports) == len(demo.RUNS)
     assert all("</html>" in Path(report).read_text(encoding="utf-8") for report in reports)
-
-
-def test_the_scene_before_the_edit_is_processed_too(finished):
-    out, lines = finished
-    before = np.load(out / "input" / "untouched" / "labels.npy")
-    assert not before.any()
-    assert len(before) == COUNT - np.load(out / "input" / "labels.npy").sum()
-    for name in (demo.ATTRIBUTES_ONLY, "robust"):
-        result = json.loads((out / f"untouched-{name}" / "result.json").read_text())
-        edited = json.loads((out / name / "result.json").read_text())
-        (line,) = [line for line in lines if line.startswith(name) and "%" in line]
-        assert f"{edited['verdict']:.0%}" in line
-        assert f"{result['verdict']:.0%}" in line
-        assert line.endswith(f"{result['counts']['tampered']:,}")
 
 
 def test_the_first_run_uses_the_attributes_only(finished):
@@ -111,11 +90,3 @@ def test_the_first_run_uses_the_attributes_only(finished):
     result = json.loads((out / demo.ATTRIBUTES_ONLY / "result.json").read_text())
     assert result["command"]["masks"] is None
     assert result["attributes"]["verdict"] == result["verdict"]
-
-
-def test_the_inverse_projection_has_low_precision(finished):
-    _, lines = finished
-    count, precision, recall, *_ = numbers(lines, "inverse projection")
-    assert recall > 0.5
-    assert precision < 0.5
-    assert count < COUNT

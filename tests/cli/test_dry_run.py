@@ -45,11 +45,9 @@ def test_a_network_is_loaded_but_not_run(case, tmp_path, own_cache):
 @pytest.mark.parametrize(
     ("changes", "expected"),
     [
-        ({"scene": "missing.ply"}, "missing.ply: no such file"),
         ({"masks": "missing"}, "missing: does not exist"),
         ({"near": 50}, "the near plane at 50"),
         ({"masks": None, "detector": "missing.onnx"}, "missing.onnx: does not exist"),
-        ({"threshold": 3}, "--threshold 3"),
     ],
 )
 def test_it_refuses_what_a_run_refuses(case, tmp_path, changes, expected):

@@ -10,15 +10,16 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
-import onnx
 import pytest
 from cli_case import FIXTURES, contents, given, record_network_views, report, run
-from onnx import TensorProto, helper, numpy_helper
+from onnx import TensorProto, helper
+from onnx_models import FLOAT, save
 
 from gsc_jax.cli import detector_choice
 from gsc_jax.cli.staging import UNFINISHED
 
 case, found, own_cache = FIXTURES
+BOOL, INT64 = TensorProto.BOOL, TensorProto.INT64
 ROOT = Path(__file__).resolve().parents[2]
 # A shell that runs the tests in the background makes them, and their children, ignore SIGINT.
 START = (
@@ -66,7 +67,7 @@ def interrupt(
 
 
 def slow_network(path: Path, steps: int) -> Path:
-    """An ONNX model that flags red pixels, after a loop that signals cannot interrupt."""
+    """An ONNX model that flags bright pixels, after a loop that signals cannot interrupt."""
     body = helper.make_graph(
         [
             helper.make_node("Identity", ["go"], ["on"]),
@@ -74,36 +75,23 @@ def slow_network(path: Path, steps: int) -> Path:
         ],
         "step",
         [
-            helper.make_tensor_value_info("step", TensorProto.INT64, []),
-            helper.make_tensor_value_info("go", TensorProto.BOOL, []),
-            helper.make_tensor_value_info("sum", TensorProto.FLOAT, [1]),
+            helper.make_tensor_value_info("step", INT64, []),
+            helper.make_tensor_value_info("go", BOOL, []),
+            helper.make_tensor_value_info("sum", FLOAT, [1]),
         ],
         [
-            helper.make_tensor_value_info("on", TensorProto.BOOL, []),
-            helper.make_tensor_value_info("more", TensorProto.FLOAT, [1]),
+            helper.make_tensor_value_info("on", BOOL, []),
+            helper.make_tensor_value_info("more", FLOAT, [1]),
         ],
     )
-    weights = np.array([20, 0, -20], np.float32).reshape(1, 3, 1, 1)
-    graph = helper.make_graph(
-        [
-            helper.make_node("Loop", ["steps", "", "nothing"], ["late"], body=body),
-            helper.make_node("Conv", ["image", "weights", "bias"], ["red"]),
-            helper.make_node("Add", ["red", "late"], ["logit"]),
-            helper.make_node("Sigmoid", ["logit"], ["map"]),
-        ],
-        "slow",
-        [helper.make_tensor_value_info("image", TensorProto.FLOAT, [1, 3, "h", "w"])],
-        [helper.make_tensor_value_info("map", TensorProto.FLOAT, [1, 1, "h", "w"])],
-        [
-            numpy_helper.from_array(np.array(steps, np.int64), "steps"),
-            numpy_helper.from_array(np.zeros(1, np.float32), "nothing"),
-            numpy_helper.from_array(weights, "weights"),
-            numpy_helper.from_array(np.array([-2], np.float32), "bias"),
-        ],
-    )
-    opset = [helper.make_opsetid("", 17)]
-    onnx.save(helper.make_model(graph, opset_imports=opset, ir_version=8), path)
-    return path
+    nodes = [
+        helper.make_node("Loop", ["steps", "", "nothing"], ["late"], body=body),
+        helper.make_node("ReduceMax", ["image"], ["high"], axes=[1], keepdims=1),
+        helper.make_node("Add", ["high", "late"], ["map"]),
+    ]
+    constants = {"steps": np.array(steps, np.int64), "nothing": np.zeros(1, np.float32)}
+    tensors = {name: (FLOAT, [1, n, "h", "w"]) for name, n in (("image", 3), ("map", 1))}
+    return save(path, nodes, {"image": tensors["image"]}, {"map": tensors["map"]}, constants)
 
 
 def test_while_a_network_runs(case, tmp_path, monkeypatch):

@@ -8,7 +8,7 @@ import sys
 import imageio.v3 as iio
 import numpy as np
 import pytest
-from cli_case import BROKEN, COUNT, FIXTURES, NAMES, given, refused, report, run
+from cli_case import BROKEN, COUNT, FIXTURES, NAMES, contents, given, refused, report, run
 from plyfile import PlyData
 
 from gsc_jax.benchmark.metrics import f1_score
@@ -36,14 +36,12 @@ def test_the_summary_counts_labels_and_names_files(found):
 
 def test_the_folder_holds_the_documented_files_and_no_others(found):
     out, _ = found
-    per_camera = [f"{kind}/{name}.png" for kind in ("masks", "detector") for name in NAMES]
-    pictures = [
-        jpeg_path(kind, name).as_posix() for kind in ("render", "overlay") for name in NAMES
-    ]
-    plain = ["tamper.ply", "highlight.ply", "labels.npy", "tamper.npy", "result.json"]
-    plain += ["report.html", "overview.png", "views.json"]
-    files = {p.relative_to(out).as_posix() for p in out.rglob("*") if p.is_file()}
-    assert files == {*per_camera, *pictures, *plain}
+    expected = set(FILES)
+    for name in NAMES:
+        expected |= {f"{kind}/{name}.png" for kind in ("masks", "detector")}
+        expected |= {jpeg_path(kind, name).as_posix() for kind in ("render", "overlay")}
+    files = contents(out).keys()
+    assert files == expected
     assert [path for path in out.iterdir() if path.name.startswith(".")] == []
     assert report(out)["outputs"] == sorted(files)
     assert {*FILES, *BY_CAMERA} == {name.split("/")[0] for name in files}
@@ -111,36 +109,24 @@ def test_images_have_the_size_of_the_views(case, found):
 def test_result_json_holds_options_configuration_and_counts(case, found):
     out, _ = found
     result = report(out)
-    labels = np.load(out / "labels.npy")
-    command = result["command"]
+    command, counts, views = result["command"], result["counts"], result["per_view"]
     assert (command["masks"], command["detector"]) == (str(case / "masks"), [])
     assert (command["scale"], command["threshold"]) == (1.0, None)
-    assert result["method"] == "robust"
-    assert result["config"]["threshold"] == 0.5
+    assert (result["method"], result["config"]["threshold"], result["seed"]) == ("robust", 0.5, 0)
     assert 0 < result["verdict"] < 1
-    assert {view["reliability"] for view in result["per_view"]} <= {
-        "reliable",
-        "uninformative",
-        "inverted",
-    }
-    assert result["seed"] == 0
-    counts = result["counts"]
+    assert {view["reliability"] for view in views} <= {"reliable", "uninformative", "inverted"}
     assert counts["rows"] == COUNT
     assert counts["dropped"] == {"position not finite": 1, "rotation zero": 1}
     assert counts["gaussians"] == COUNT - 2 == counts["seen"] + counts["unseen"]
-    assert counts["tampered"] == labels.sum()
+    assert counts["tampered"] == np.load(out / "labels.npy").sum()
     assert result["views"] == result["judged_views"] == 3
-    areas = [view["tampered_share"] for view in result["per_view"]]
-    assert [view["name"] for view in result["per_view"]] == list(NAMES)
+    assert [view["name"] for view in views] == list(NAMES)
+    areas = [view["tampered_share"] for view in views]
     assert result["tampered_share_of_views"] == pytest.approx(np.mean(areas))
     assert areas[0] == pytest.approx(iio.imread(image_path(out / "masks", NAMES[0])).mean() / 255)
-    stages = list(result["stages"])
-    assert stages[0] == "load"
-    assert {"lift", "optimise", "masks", "write"} < set(stages)
+    assert {"load", "lift", "optimise", "masks", "write"} < set(result["stages"])
     assert all(stage["seconds"] >= 0 for stage in result["stages"].values())
-    assert {"gsc_jax", "python", "numpy", "jax", "jaxlib", "optax", "device"} < set(
-        result["versions"]
-    )
+    assert {"gsc_jax", "python", "jax", "device"} < set(result["versions"])
     assert len(result["warnings"]) == 1
 
 
@@ -214,12 +200,6 @@ def test_views_without_a_mask_get_a_final_mask(case, tmp_path):
     assert (result["views"], result["judged_views"]) == (3, 2)
     assert (tmp_path / "out" / "masks" / "c.png").is_file()
     assert not (tmp_path / "out" / "detector" / "c.png").exists()
-
-
-def test_more_views_than_cameras_is_a_warning(case, tmp_path):
-    answer = run(*given(case, views=9), "--out", tmp_path)
-    assert answer.code == 0
-    assert "--views 9" in answer.err
 
 
 def test_empty_masks_label_nothing(case, tmp_path):

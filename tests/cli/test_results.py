@@ -7,17 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from results_folder import BROKEN, COUNT, rewrite_report, write_results
-from scipy.spatial.transform import Rotation
 from strategies import random_scene, with_row
 
 from gsc_jax.cli.locate import run_locate
 from gsc_jax.cli.locate_options import Locate
 from gsc_jax.cli.results import read_results
-from gsc_jax.io.cameras import load_cameras, save_cameras
+from gsc_jax.io.cameras import save_cameras
 from gsc_jax.io.masks import image_path, write_mask
 from gsc_jax.io.ply import save_ply
 from gsc_jax.render.orbit import orbit_cameras
-from gsc_jax.scene import Camera, InputError
+from gsc_jax.scene import InputError
 
 
 @pytest.fixture
@@ -65,6 +64,7 @@ class TestResultsOfLocate:
         np.testing.assert_array_equal(results.rows, located.scene.rows)
         np.testing.assert_array_equal(results.tamper, located.result.tamper)
         np.testing.assert_array_equal(results.labels, located.result.labels)
+        np.testing.assert_array_equal(results.labels, results.tamper > results.threshold)
         assert results.total == len(results.rows) + 1 == 200
 
     def test_the_cameras_are_those_of_the_run_at_its_scale(self, found):
@@ -75,10 +75,6 @@ class TestResultsOfLocate:
             np.testing.assert_allclose(read.viewmat, used.viewmat, atol=1e-6)
             np.testing.assert_allclose(read.K, used.K, rtol=1e-6)
             assert image_path(results.folder / "masks", read.name).is_file()
-
-    def test_labels_are_the_scores_above_the_threshold(self, found):
-        _, results = found
-        np.testing.assert_array_equal(results.labels, results.tamper > results.threshold)
 
 
 class TestFolder:
@@ -102,28 +98,13 @@ class TestFolder:
         for read, used in zip(read_results("moved").cameras, located.cameras, strict=True):
             np.testing.assert_allclose(read.viewmat, used.viewmat, atol=1e-6)
 
-    def test_cameras_keep_their_principal_point_and_a_rotation_that_was_rounded(self, tmp_path):
-        """Three decimals, as some files have, and far from the origin."""
-        turned = Rotation.from_rotvec([0.3, -0.8, 0.5]).as_matrix().round(3)
-        viewmat = np.eye(4, dtype=np.float32)
-        viewmat[:3, :3], viewmat[:3, 3] = turned, (100, -50, 20)
-        K = np.array([[61.5, 0, 17.25], [0, 60, 12.75], [0, 0, 1]], np.float32)
-        camera = Camera(viewmat=viewmat, K=K, width=32, height=24, name="a/ü.JPG")
-        save_cameras(tmp_path / "views.json", [camera])
-        (read,) = load_cameras(tmp_path / "views.json")
-        np.testing.assert_allclose(read.viewmat, viewmat, rtol=1e-6, atol=1e-6)
-        np.testing.assert_array_equal(read.K, K)
-        assert (read.width, read.height, read.name) == (32, 24, "a/ü.JPG")
-
 
 class TestRefusals:
-    def test_no_folder(self, tmp_path):
+    def test_folders_without_results(self, tmp_path):
         assert "no such folder" in refusal(tmp_path / "nothing")
-
-    def test_a_folder_of_something_else(self, tmp_path):
         assert "holds no results of gsc-jax locate" in refusal(tmp_path)
 
-    @pytest.mark.parametrize("text", ["", "{", "[1, 2"])
+    @pytest.mark.parametrize("text", ["", "{", "[1, 2", "3"])
     def test_a_damaged_report(self, folder, text):
         (folder / "result.json").write_text(text)
         assert "damaged" in refusal(folder)
@@ -143,26 +124,16 @@ class TestRefusals:
         (folder / "tamper.npy").write_bytes(content)
         assert "tamper.npy" in refusal(folder)
 
-    def test_an_array_of_objects(self, folder):
-        np.save(folder / "labels.npy", np.array([None, 1]), allow_pickle=True)
-        assert "labels.npy" in refusal(folder)
-
-    def test_scores_of_another_scene(self, folder):
-        np.save(folder / "tamper.npy", np.zeros(COUNT - 1, np.float32))
-        assert "different runs" in refusal(folder)
-
-    def test_labels_of_another_type(self, folder):
-        np.save(folder / "labels.npy", np.zeros(COUNT, np.float32))
-        assert "labels.npy" in refusal(folder)
+    @pytest.mark.parametrize(
+        "values", [np.array([None, 1]), np.zeros(COUNT - 1, np.float32), np.zeros(COUNT, bool)]
+    )
+    def test_labels_of_another_run(self, folder, values):
+        np.save(folder / "labels.npy", values, allow_pickle=True)
+        assert f"{folder / 'labels.npy'}: " in refusal(folder)
 
     @pytest.mark.parametrize("change", [{"img_name": "other"}, {"width": 81}])
     def test_cameras_of_another_run(self, folder, change):
         stored = json.loads((folder / "views.json").read_text())
-        (folder / "views.json").write_text(json.dumps([stored[0] | change, *stored[1:]]))
-        assert "different runs" in refusal(folder)
-        (folder / "views.json").write_text(json.dumps(stored[1:]))
-        assert "different runs" in refusal(folder)
-
-    def test_labels_of_another_run(self, folder):
-        np.save(folder / "labels.npy", np.zeros(COUNT, bool))
-        assert "different runs" in refusal(folder)
+        for cameras in ([stored[0] | change, *stored[1:]], stored[1:]):
+            (folder / "views.json").write_text(json.dumps(cameras))
+            assert "different run" in refusal(folder)

@@ -1,12 +1,10 @@
 """Early stopping over views: which views, how many, and the same labels."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from strategies import blobs, camera
+from strategies import blobs, cameras_in_a_row
 
 from gsc_jax import Monitor, RobustEstimator, locate
 from gsc_jax.estimators.robust.early_stopping import FIRST_BATCH, batches, changed, spread
@@ -17,18 +15,7 @@ GRID = [[x, y, 3] for x in np.linspace(-1.5, 1.5, 7) for y in np.linspace(-0.8, 
 SCENE = blobs(GRID, opacity=0.95, scale=0.2)
 TRUTH = np.array([x > 0.8 for x, _, _ in GRID])
 VIEWS = 30
-
-
-def cameras():
-    found = []
-    for index in range(VIEWS):
-        viewmat = np.eye(4)
-        viewmat[0, 3] = 0.02 * (index - VIEWS / 2)
-        found.append(dataclasses.replace(camera(24, 16, viewmat=viewmat), name=f"view_{index}"))
-    return found
-
-
-CAMERAS = cameras()
+CAMERAS = cameras_in_a_row(VIEWS, 24, 16, step=0.02)
 MASKS = {c.name: rendered_share(SCENE, c, TRUTH) for c in CAMERAS}
 
 
@@ -51,10 +38,6 @@ class Network:
 
 
 LATER = [f"view_{k}" for k in spread(VIEWS)]
-
-
-def test_given_masks_are_all_used():
-    assert len(locate(SCENE, CAMERAS, MASKS).probabilities) == VIEWS
 
 
 def test_views_are_added_until_something_is_labelled():
@@ -100,8 +83,9 @@ def test_progress_counts_across_batches():
     assert set(done) == set(range(done[-1] + 1))
 
 
-def test_tolerance_0_uses_every_view():
-    result = locate(SCENE, CAMERAS, Network(), config=RobustEstimator(tolerance=0.0))
+@pytest.mark.parametrize(("detector", "tolerance"), [(Network(), 0.0), (MASKS, 0.02)])
+def test_tolerance_0_and_given_masks_use_every_view(detector, tolerance):
+    result = locate(SCENE, CAMERAS, detector, config=RobustEstimator(tolerance=tolerance))
     assert result.early_stopping is None
     assert len(result.probabilities) == VIEWS
 

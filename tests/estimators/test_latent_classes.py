@@ -19,12 +19,15 @@ def drawn(count: int = 1500, pixels: int = 8, seed: int = 0):
     return kinds, flagged.astype(np.float32), (pixels * seen - flagged).astype(np.float32)
 
 
-def test_rates_and_shares_are_recovered():
-    _, flagged, clear = drawn()
+def test_rates_and_shares_are_recovered_and_responsibilities_separate_the_classes():
+    kinds, flagged, clear = drawn()
     fit = fit_classes(flagged, clear, counts=(3,), restarts=4)
     order = np.argsort(-np.asarray(fit.classes.shares))
     np.testing.assert_allclose(np.asarray(fit.classes.rates)[order], RATES, atol=0.03)
     np.testing.assert_allclose(np.asarray(fit.classes.shares)[order], SHARES, atol=0.03)
+    responsibilities = np.asarray(fit.responsibilities)
+    np.testing.assert_allclose(responsibilities.sum(axis=0), 1, atol=1e-5)
+    assert np.mean(np.argmax(responsibilities[order], axis=0) == kinds) > 0.98
 
 
 def test_the_criterion_chooses_the_number_of_classes():
@@ -32,15 +35,6 @@ def test_the_criterion_chooses_the_number_of_classes():
     fit = fit_classes(flagged, clear, counts=(2, 3, 6), restarts=3)
     assert np.sum(np.asarray(fit.classes.shares) > 0) == 3
     assert np.asarray(fit.criterion).shape == np.asarray(fit.iterations).shape == (9,)
-
-
-def test_responsibilities_separate_the_classes_and_add_up_to_one():
-    kinds, flagged, clear = drawn()
-    fit = fit_classes(flagged, clear, counts=(3,), restarts=4)
-    responsibilities = np.asarray(fit.responsibilities)
-    np.testing.assert_allclose(responsibilities.sum(axis=0), 1, atol=1e-5)
-    order = np.argsort(-np.asarray(fit.classes.shares))
-    assert np.mean(np.argmax(responsibilities[order], axis=0) == kinds) > 0.98
 
 
 def test_rates_are_bounded_and_unseen_gaussians_follow_the_shares():

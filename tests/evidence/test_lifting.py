@@ -7,11 +7,11 @@ from hypothesis import given
 from hypothesis.extra import numpy as hnp
 from strategies import blobs, camera, random_scene
 
-from gsc_jax.evidence.lifting import Evidence, view_evidence
+from gsc_jax.evidence.lifting import view_evidence
 from gsc_jax.evidence.storage import blank_evidence
 from gsc_jax.losses import loss_2d, loss_2d_from_evidence
 from gsc_jax.render.tiles import make_view
-from gsc_jax.splat import accumulate, composite, render_features
+from gsc_jax.splat import accumulate, composite
 
 CAMERA = camera(17, 15)
 SCENE = random_scene(40)
@@ -36,12 +36,6 @@ def test_tampered_weight_is_part_of_the_total(mask):
     np.testing.assert_allclose(evidence.tampered + complement.tampered, evidence.total, atol=1e-4)
 
 
-def test_the_weights_of_a_view_add_up_to_its_alpha():
-    evidence = view_evidence(VIEW, np.zeros((15, 17)))
-    alpha = render_features(SCENE, CAMERA, np.zeros((40, 1), np.float32))[1]
-    np.testing.assert_allclose(jnp.sum(evidence.total), jnp.sum(alpha), rtol=1e-5)
-
-
 @given(hnp.arrays(bool, (15, 17)))
 def test_the_gradient_from_evidence_is_that_of_the_rendered_loss(mask):
     def rendered_loss(r):
@@ -50,11 +44,6 @@ def test_the_gradient_from_evidence_is_that_of_the_rendered_loss(mask):
     r = jnp.linspace(-1, 1, 40)
     gradient = jax.grad(loss_2d_from_evidence)(r, view_evidence(VIEW, mask))
     np.testing.assert_allclose(jax.grad(rendered_loss)(r), gradient, rtol=1e-4, atol=1e-4)
-
-
-def test_a_gaussian_is_seen_if_one_view_has_weight():
-    total = np.array([[0, 1, 0], [0, 0, 2]], np.float32)
-    assert Evidence(total=total, tampered=0 * total).seen.tolist() == [False, True, True]
 
 
 def test_large_evidence_lies_in_a_file_and_reads_the_same():

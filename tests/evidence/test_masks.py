@@ -1,5 +1,7 @@
 """Masks of labels: the absolute threshold, and the rule of the released code."""
 
+import dataclasses
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -10,6 +12,12 @@ from gsc_jax.evidence.masks import Labelled, normalise, rendered_share, view_mas
 
 CAMERA = camera(33, 17)
 LEFT, RIGHT = [-0.5, 0, 2], [0.5, 0, 2]
+
+
+def mask_of(scene, labels, rule, *, attribute=None, view=CAMERA) -> np.ndarray:
+    labels = np.array(labels, bool)
+    attribute = np.array(labels if attribute is None else attribute, np.float32)
+    return view_mask(scene, view, Labelled(attribute, labels), rule=rule)
 
 
 @given(floats(8, -20, 20))
@@ -29,37 +37,29 @@ def test_scores_without_a_positive_attribute_are_0(attribute):
 @pytest.mark.parametrize("rule", ["share", "attribute", "per-view"])
 def test_the_mask_shows_the_tampered_gaussian_and_not_the_other(rule):
     scene = blobs([LEFT, RIGHT], opacity=0.9)
-    mask = view_mask(
-        scene, CAMERA, Labelled(np.array([1.0, 0.0]), np.array([True, False])), rule=rule
-    )
+    mask = mask_of(scene, [True, False], rule)
     assert mask[8, :16].any(), "the tampered Gaussian is invisible"
     assert not mask[8, 20:].any(), "the authentic Gaussian is in the mask"
 
 
 def test_only_the_released_rule_ignores_occlusion():
     scene = blobs([[0, 0, 1], [0, 0, 1], [0, 0, 1], [0, 0, 3]], opacity=0.99, scale=0.5)
-    labels = np.array([False, False, False, True])
-    attribute = labels.astype(np.float32)
-    assert view_mask(scene, CAMERA, Labelled(attribute, labels), rule="per-view").any()
-    assert not view_mask(scene, CAMERA, Labelled(attribute, labels), rule="share").any()
+    assert mask_of(scene, [0, 0, 0, 1], "per-view").any()
+    assert not mask_of(scene, [0, 0, 0, 1], "share").any()
 
 
 def test_only_the_released_rule_lifts_noise_to_1_in_views_without_the_object():
     scene = blobs([RIGHT, LEFT], opacity=0.9)
-    labels, attribute = np.array([True, True]), np.array([1.0, 0.005])
-    right_is_outside = camera(16, 17, focal=20.0)
-    K = np.array(right_is_outside.K)
-    K[0, 2] = 16.5
-    view = type(right_is_outside)(viewmat=right_is_outside.viewmat, K=K, width=16, height=17)
-    assert view_mask(scene, view, Labelled(attribute, labels), rule="per-view").any()
-    assert not view_mask(scene, view, Labelled(attribute, labels), rule="attribute").any()
+    right_is_outside = dataclasses.replace(CAMERA, width=16)
+    options = {"attribute": [1.0, 0.005], "view": right_is_outside}
+    assert mask_of(scene, [True, True], "per-view", **options).any()
+    assert not mask_of(scene, [True, True], "attribute", **options).any()
 
 
 @pytest.mark.usefixtures("nan_is_an_error")
 @pytest.mark.parametrize("rule", ["share", "attribute", "per-view"])
 def test_without_labels_the_mask_is_empty(rule):
-    scene = blobs([LEFT])
-    mask = view_mask(scene, CAMERA, Labelled(np.zeros(1), np.zeros(1, bool)), rule=rule)
+    mask = mask_of(blobs([LEFT]), [False], rule)
     assert mask.shape == (17, 33)
     assert mask.dtype == bool
     assert not mask.any()

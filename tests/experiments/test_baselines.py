@@ -12,8 +12,7 @@ from hypothesis.extra import numpy as hnp
 from scipy.spatial.transform import Rotation
 from strategies import blobs, camera, floats, random_scene
 
-from gsc_jax.benchmark.baseline import inverse_projection
-from gsc_jax.benchmark.metrics import confusion
+from gsc_jax.benchmark.metrics import confusion, inverse_projection
 from gsc_jax.evidence.lifting import Evidence, view_evidence
 from gsc_jax.render.tiles import make_view
 from gsc_jax.splat import composite

@@ -7,7 +7,7 @@ import pytest
 import runner
 from methods import ALL_METHODS, labelled
 from observations import observe_regimes
-from tables import read_csv, write_csv
+from tables import ITSELF, TRUTH, read_csv, write_csv
 
 from gsc_jax.benchmark.simulate import REGIMES
 from gsc_jax.evidence.observation import observe
@@ -35,10 +35,10 @@ def test_the_true_labels_score_one_and_no_labels_score_zero(case):
     observed = observe_regimes(case, cases.detector_masks(case, {"clean": REGIMES["clean"]}))
     nothing = {"nothing": lambda one: labelled(np.zeros_like(one.case.labels))}
     itself, truth, none = runner.judge(observed, nothing)
-    assert itself["method"] == runner.ITSELF
+    assert itself["method"] == ITSELF
     assert itself["f1"] == pytest.approx(1)
     assert np.isnan(itself["f1_gaussians"])
-    assert truth["method"] == runner.TRUTH
+    assert truth["method"] == TRUTH
     assert truth["f1"] == truth["f1_gaussians"] == truth["auc"] == pytest.approx(1)
     assert truth["false_area"] == 0
     assert none["f1"] == none["f1_gaussians"] == none["false_area"] == 0
@@ -58,15 +58,15 @@ def test_rows_of_some_methods_are_merged_with_those_of_the_others(tmp_path):
     def row(name: str, f1: float) -> dict:
         return {**key, "method": name, "f1": f1}
 
-    before = [row(runner.TRUTH, 1.0), row("a", 0.1), row("b", 0.2)]
+    before = [row(TRUTH, 1.0), row("a", 0.1), row("b", 0.2)]
     write_csv(tmp_path / "x.csv", pd.DataFrame(before))
     args = runner.ChosenArgs(out=tmp_path, methods=("b", "c"))
-    rows = runner.measured(args, "x", [[row(runner.TRUTH, 1.0), row("b", 0.3), row("c", 0.4)]])
+    rows = runner.measured(args, "x", [[row(TRUTH, 1.0), row("b", 0.3), row("c", 0.4)]])
     expected = [*before[:2], row("b", 0.3), row("c", 0.4)]
     assert rows.to_dict("records") == read_csv(tmp_path / "x.csv").to_dict("records") == expected
     with pytest.raises(InputError, match="other cases"):
         runner.measured(args, "x", [[{**row("b", 0.3), "seed": 1}]])
     with pytest.raises(InputError, match="other masks"):
-        runner.measured(args, "x", [[row(runner.TRUTH, 0.9), row("b", 0.3)]])
+        runner.measured(args, "x", [[row(TRUTH, 0.9), row("b", 0.3)]])
     with pytest.raises(InputError, match="expected some of a, b"):
         args.among({"a": labelled, "b": labelled})  # pyright: ignore[reportArgumentType]

@@ -5,7 +5,7 @@ import tables
 
 def test_a_table_has_means_spreads_and_the_best_in_bold():
     means = [("a", "x", 0.2), ("a", "y", 0.6), ("b", "x", 0.4), ("b", "y", 0.4)]
-    means += [("limit", "x", 0.9), ("limit", "y", float("nan"))]
+    means += [(tables.TRUTH, "x", 0.9), (tables.TRUTH, "y", float("nan"))]
     rows = pd.DataFrame(
         [
             {"method": method, "regime": regime, "seed": seed, "f1": value + 0.1 * seed}
@@ -13,15 +13,13 @@ def test_a_table_has_means_spreads_and_the_best_in_bold():
             for seed in (0, 1)
         ]
     )
-    text = tables.pivot(
-        rows, "method", "regime", reference=("limit",), extra={"paper": {"a": "0.5"}}
-    )
+    text = tables.with_columns(tables.pivot(rows, "method", "regime"), {"paper": {"a": "0.5"}})
     assert text.splitlines() == [
         "| method | x | y | mean | paper |",
         "| --- | --- | --- | --- | --- |",
         "| a | 0.25 ± 0.07 | **0.65** ± 0.07 | **0.45** ± 0.07 | 0.5 |",
         "| b | **0.45** ± 0.07 | 0.45 ± 0.07 | **0.45** ± 0.07 |  |",
-        "| limit | 0.95 ± 0.07 | - | 0.95 ± 0.07 |  |",
+        "| true labels | 0.95 ± 0.07 | - | 0.95 ± 0.07 |  |",
     ]
 
 

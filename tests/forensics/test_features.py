@@ -1,10 +1,8 @@
 """Features: invariant to the order of rows and to position, scale and pose of the scene."""
 
-import dataclasses
-
-import jax
 import numpy as np
 import pytest
+from forensics_cases import with_copy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -49,22 +47,8 @@ def test_similarities_of_the_scene_change_nothing(scale):
     assert np.quantile(difference, 0.999) < 0.05
 
 
-def test_region_unlike_its_surroundings_deviates():
-    near = np.argsort(np.linalg.norm(ROOM.means - ROOM.means[7], axis=1))[:100]
-    sizes = np.array(ROOM.log_scales)
-    sizes[near] += 2.0
-    changed = compute_features(dataclasses.replace(ROOM, log_scales=sizes))
-    values = changed.values[:, changed.names.index("size.0.mean")]
-    others = np.setdiff1d(np.arange(len(ROOM)), near)
-    assert np.median(values[near]) > np.quantile(values[others], 0.95)
-
-
 def test_copies_are_close_and_others_are_not():
-    rows = np.arange(50)
-    pasted = jax.tree.map(lambda x: np.concatenate([x, x[rows]]), jax.tree.map(np.asarray, ROOM))
-    means = pasted.means.copy()
-    means[-50:] += 1.0
-    closeness = duplicate_closeness(dataclasses.replace(pasted, means=means))[:, 0]
+    closeness = duplicate_closeness(with_copy(ROOM, np.arange(50)))[:, 0]
     assert closeness[-50:].min() > 0.99
     assert closeness[:50].min() > 0.99
     assert closeness[50:-50].mean() < 0.2

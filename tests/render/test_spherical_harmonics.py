@@ -27,13 +27,6 @@ def test_colors_are_those_of_the_reference(degree):
     assert (expected == 0).any(), "no colour reaches the clamp at 0"
 
 
-def test_colors_depend_on_the_position_of_the_camera():
-    gaussians = random_scene(50, degree=1)
-    here = sh.colors(gaussians.sh, gaussians.means, CENTER)
-    there = sh.colors(gaussians.sh, gaussians.means, -10 * CENTER)
-    assert np.abs(here - there).max() > 0.1
-
-
 def test_a_uniform_color_is_stored_over_the_constant_harmonic():
     color = np.array([[0.1, 0.5, 1.2]], np.float32)
     stored = (color[:, None] - 0.5) / np.float32(sh.Y0)
@@ -57,11 +50,8 @@ def test_colors_are_finite_for_any_stored_value(value):
     coefficients[1] = value
     colors = np.asarray(sh.colors(coefficients, gaussians.means, CENTER))
     assert np.isfinite(colors).all()
-    np.testing.assert_allclose(
-        np.delete(colors, 1, axis=0),
-        np.delete(reference.colors(gaussians, CENTER), 1, 0),
-        atol=2e-6,
-    )
+    expected = reference.colors(gaussians, CENTER)
+    np.testing.assert_allclose(np.delete(colors, 1, 0), np.delete(expected, 1, 0), atol=2e-6)
 
 
 @pytest.mark.usefixtures("nan_is_an_error")
@@ -89,13 +79,3 @@ def test_rotated_harmonics_move_the_color_to_the_rotated_direction(motion, degre
     assert turned.dtype == jnp.float32
     after = sh.colors(turned, (directions @ R.T).astype(np.float32), origin)
     np.testing.assert_allclose(after, before, atol=5e-6)
-
-
-def test_rotation_mixes_only_harmonics_of_the_same_band():
-    scene = random_scene(4, degree=3)
-    turned = np.asarray(sh.rotate(scene.sh, Rotation.from_euler("x", 50, degrees=True).as_matrix()))
-    np.testing.assert_allclose(turned[:, 0], scene.sh[:, 0], atol=1e-6)
-    for low, high in [(1, 4), (4, 9), (9, 16)]:
-        norms = [np.linalg.norm(x[:, low:high], axis=1) for x in (turned, scene.sh)]
-        np.testing.assert_allclose(*norms, atol=1e-5)
-    assert np.abs(turned[:, 1:] - scene.sh[:, 1:]).max() > 0.1

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import reference
-from strategies import blobs, camera, random_scene
+from strategies import blobs, camera, needles, random_scene
 
 from gsc_jax.render.projection import project
 from gsc_jax.render.tiles import TILE, bin_splats, make_view, restricted
@@ -18,12 +18,6 @@ from gsc_jax.splat import composite
 SIZES = [(1, 1), (15, 17), (33, 1), (17, 33), (64, 48)]
 MARGIN = 1e-3
 """Relative distance from alpha 1/255 within which rounding may decide."""
-
-
-def needles(count: int, *, length: float, seed: int = 0):
-    scene = random_scene(count, seed=seed)
-    log_scales = np.log(np.tile([length, 1e-3, 1e-3], (count, 1))).astype(np.float32)
-    return dataclasses.replace(scene, log_scales=log_scales)
 
 
 SCENES = {
@@ -89,16 +83,9 @@ def test_lists_are_exact(scene, size):
     assert not missing.any(), f"{missing.sum()} pairs that contribute are not listed"
     needless = (anywhere < reference.MIN_ALPHA * (1 - MARGIN)) & table
     assert not needless.any(), f"{needless.sum()} listed ellipses miss their tile"
-
-
-def test_almost_every_listed_pair_covers_a_pixel():
-    gaussians, view = SCENES["blobs"], camera(64, 48)
-    lists = bin_splats(project(gaussians, view), 64, 48)
-    at_pixels, _ = largest_alphas(gaussians, view)
-    table = listed(lists, *at_pixels.shape)
-    useless = table & (at_pixels < reference.MIN_ALPHA)
-    assert table.sum() > 300
-    assert useless.sum() < 0.02 * table.sum(), f"{useless.sum()} of {table.sum()} cover no pixel"
+    if scene == "blobs" and size == (64, 48):
+        useless = table & (at_pixels < reference.MIN_ALPHA)
+        assert useless.sum() < 0.02 * table.sum(), f"{useless.sum()} listed pairs cover no pixel"
 
 
 @pytest.mark.parametrize("size", SIZES)

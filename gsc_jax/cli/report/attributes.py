@@ -42,13 +42,7 @@ class Distribution:
 def attribute_distributions(
     gaussians: Gaussians, labels: np.ndarray, seen: np.ndarray
 ) -> list[Distribution]:
-    """Distributions of six or seven attributes; none if a group is empty.
-
-    Args:
-        gaussians: N Gaussians.
-        labels: Tampered Gaussians, shape (N,) bool.
-        seen: Visible Gaussians; the others are in neither group, shape (N,) bool.
-    """
+    """Distributions of attributes of the visible Gaussians by label; none if a group is empty."""
     tampered, authentic = seen & labels, seen & ~labels
     if not (tampered.any() and authentic.any()):
         return []

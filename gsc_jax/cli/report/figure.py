@@ -8,13 +8,20 @@ import base64
 import dataclasses
 import io
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 LIGHT = {"ink": "#1c1b1a", "muted": "#5c5954", "cycle": ["#b3004b", "#22588f"]}
 DARK = {"ink": "#ebe8e3", "muted": "#aba69e", "cycle": ["#ff7fae", "#85b8ee"]}
+STYLE = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "gsc_jax",  # reproducible ids
+    "font.size": 9,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -30,45 +37,24 @@ class Chart:
 def chart(
     plot: "Callable[[Axes], object]", *, title: str, text: str, size: tuple[float, float]
 ) -> Chart:
-    """Draw a chart in both colour schemes.
-
-    Args:
-        plot: Draws into the axes; called twice.
-        title: Heading.
-        text: Sentences on what the chart shows.
-        size: Width and height in inches, with text of 9 points.
-    """
+    """Draw a chart in both colour schemes; `size` is in inches, with text of 9 points."""
     light, dark = (_data_uri(plot, scheme, size) for scheme in (LIGHT, DARK))
     return Chart(title=title, text=text, light=light, dark=dark)
 
 
 def _data_uri(plot: "Callable[[Axes], object]", scheme: dict, size: tuple[float, float]) -> str:
     import matplotlib
+    from cycler import cycler
     from matplotlib.figure import Figure
 
+    ink = ("text.color", "axes.labelcolor", "xtick.labelcolor", "ytick.labelcolor")
+    muted = ("axes.edgecolor", "xtick.color", "ytick.color")
+    style: dict[Any, Any] = (
+        STYLE | dict.fromkeys(ink, scheme["ink"]) | dict.fromkeys(muted, scheme["muted"])
+    )
     file = io.BytesIO()
-    with matplotlib.rc_context(_style(**scheme)):
+    with matplotlib.rc_context(style | {"axes.prop_cycle": cycler(color=scheme["cycle"])}):
         figure = Figure(figsize=size, layout="constrained")
         plot(figure.subplots())
         figure.savefig(file, format="svg", transparent=True, metadata={"Date": None})
     return f"data:image/svg+xml;base64,{base64.b64encode(file.getvalue()).decode()}"
-
-
-def _style(ink: str, muted: str, cycle: list[str]) -> dict:
-    from cycler import cycler
-
-    return {
-        "svg.fonttype": "none",
-        "svg.hashsalt": "gsc_jax",  # reproducible ids
-        "font.size": 9,
-        "text.color": ink,
-        "axes.prop_cycle": cycler(color=cycle),
-        "axes.labelcolor": ink,
-        "axes.edgecolor": muted,
-        "axes.spines.top": False,
-        "axes.spines.right": False,
-        "xtick.color": muted,
-        "ytick.color": muted,
-        "xtick.labelcolor": ink,
-        "ytick.labelcolor": ink,
-    }

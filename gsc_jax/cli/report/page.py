@@ -34,16 +34,14 @@ COUNTS = {
 def report_page(
     folder: Path, report: Mapping[str, Any], located: Located, *, monitor: Monitor | None = None
 ) -> str:
-    """Render the page of a run.
-
-    Args:
-        folder: Folder with the images of the run.
-        report: Content of result.json.
-        located: The run.
-        monitor: Receives the progress over views.
-    """
-    result, counts = located.result, report["counts"]
-    images = _images(folder, report["per_view"], monitor or Monitor())
+    """Render the page of a run, whose images are in `folder`, with the content of result.json."""
+    result, counts, views = located.result, report["counts"], report["per_view"]
+    monitor = monitor or Monitor()
+    images: list[list[Thumbnail]] = []
+    monitor.progress("report", 0, len(views))
+    for view in thumbnails(folder, [view["name"] for view in views]):
+        images.append(view)
+        monitor.progress("report", len(images), len(views))
     present = {image.layer for view in images for image in view}
     style, script = _text("report.css"), _text("report.js")
     return _template().render(
@@ -59,7 +57,7 @@ def report_page(
             covered=report["tampered_share_of_views"],
         ),
         traces=sorted(getattr(result.prior, "traces", ()), key=lambda trace: not trace.found),
-        views=list(zip(report["per_view"], images, strict=True)),
+        views=list(zip(views, images, strict=True)),
         layers={name: title for name, title in LAYERS.items() if name in present},
         histogram=score_histogram(result),
         attributes=attribute_charts(located.scene.gaussians, result),
@@ -69,15 +67,6 @@ def report_page(
         script=script,
         script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
     )
-
-
-def _images(folder: Path, views: list[dict[str, Any]], monitor: Monitor) -> list[list[Thumbnail]]:
-    images = []
-    monitor.progress("report", 0, len(views))
-    for view in thumbnails(folder, views):
-        images.append(view)
-        monitor.progress("report", len(images), len(views))
-    return images
 
 
 def _files(outputs: list[str]) -> list[tuple[str, str]]:
@@ -95,17 +84,18 @@ def _tables(report: Mapping[str, Any]) -> dict[str, list[tuple[str, str]]]:
     counts = report["counts"]
     rows = [(title, f"{counts[name]:,}") for name, title in COUNTS.items()]
     rows += [(f"Left out: {reason}", f"{n:,}") for reason, n in counts["dropped"].items()]
-    options = {
-        name: value
-        for name, value in report["command"].items()
-        if value is not None and value is not False and value != []
-    }
+    options = {k: v for k, v in report["command"].items() if v is not False and v not in (None, [])}
     return {
+        "Time and memory": [(name, _usage(**stage)) for name, stage in report["stages"].items()],
         "Counts": rows,
         "Configuration": _flat(report["config"]),
         "Command": _flat(options),
         "Versions": _flat(report["versions"]),
     }
+
+
+def _usage(seconds: float, peak_mib: float | None) -> str:
+    return f"{seconds:.2f} s" + ("" if peak_mib is None else f", peak {peak_mib:,.0f} MiB")
 
 
 def _flat(value: Any, name: str = "") -> list[tuple[str, str]]:

@@ -7,40 +7,22 @@
   const small = document.getElementById("small");
   const sort = document.getElementById("sort");
   const radios = [...document.querySelectorAll('input[name="layer"]')];
-  const cache = new Map(); // full images by URL
   let view = null; // list item of the selected view
 
   const views = () => [...strip.children];
-  const layer = () => radios.find((radio) => radio.checked).value;
-  const selected = () => view.querySelector(`[data-layer="${layer()}"]`);
 
-  // The full image of a thumbnail; loaded once, and missing if the page was copied alone.
-  function fullImage(thumbnail) {
-    const address = thumbnail.dataset.full;
-    if (!cache.has(address)) {
-      const image = new Image();
-      const update = () => selected() === thumbnail && draw();
-      image.onload = image.onerror = update;
-      image.src = address;
-      cache.set(address, image);
-    }
-    return cache.get(address);
-  }
-
+  // Show the thumbnail until the full image is loaded; it is missing if the page was copied alone.
   function draw() {
-    const thumbnail = selected();
+    const layer = radios.find((radio) => radio.checked).value;
+    const shown = view.querySelector(`[data-layer="${layer}"]`).cloneNode(true);
     frame.style.aspectRatio = view.dataset.ratio;
+    frame.replaceChildren(shown);
     small.hidden = true;
-    if (thumbnail.localName !== "img") {
-      frame.replaceChildren(thumbnail.cloneNode(true));
-      return;
-    }
-    const full = fullImage(thumbnail);
-    const shown = frame.querySelector("img") || new Image();
-    shown.alt = thumbnail.alt;
-    shown.src = full.complete && full.naturalWidth ? full.src : thumbnail.src;
-    small.hidden = !full.complete || full.naturalWidth > 0;
-    if (shown.parentNode !== frame) frame.replaceChildren(shown);
+    if (shown.localName !== "img") return;
+    const full = new Image();
+    full.onload = () => (shown.src = full.src);
+    full.onerror = () => (small.hidden = !shown.isConnected);
+    full.src = shown.dataset.full;
   }
 
   function select(next) {
@@ -55,7 +37,6 @@
     document.getElementById("place").textContent = `${order.indexOf(view) + 1} of ${order.length}`;
     scrollStrip();
     draw();
-    view.querySelectorAll("img").forEach(fullImage); // so that other layers appear at once
   }
 
   // Scroll the strip to the selected view; `scrollIntoView` would also scroll the page.
@@ -88,8 +69,7 @@
       draw();
     }
     const by = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
-    // Arrows also select a radio button and scroll a wide table.
-    if (!by || target.localName === "input" || target.closest?.(".scroll")) return;
+    if (!by || target.localName === "input") return; // arrows also select a radio button
     event.preventDefault();
     step(by);
   }
@@ -110,9 +90,6 @@
   sort.addEventListener("change", arrange);
   strip.addEventListener("click", clicked);
   document.addEventListener("keydown", pressed);
-  window.addEventListener("beforeprint", () => {
-    document.querySelectorAll("details").forEach((part) => (part.open = true));
-  });
   // Start with the view in which the labelled Gaussians are largest.
   select(views().reduce((a, b) => (+b.dataset.tampered > +a.dataset.tampered ? b : a)));
 }

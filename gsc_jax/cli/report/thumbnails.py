@@ -10,11 +10,10 @@ import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 from urllib.parse import quote
 
 from gsc_jax.cli.pictures import jpeg_path
-from gsc_jax.cli.report.wording import share
 from gsc_jax.io.masks import image_path
 from gsc_jax.scene.parallel import WORKERS, bounded_map
 
@@ -40,37 +39,29 @@ class Thumbnail(NamedTuple):
     layer: str
     source: str
     full: str
-    alt: str
 
 
-def thumbnails(folder: Path, views: Sequence[dict[str, Any]]) -> Iterator[list[Thumbnail]]:
-    """Yield the existing layers of each view, in the order of `LAYERS`.
+def thumbnails(folder: Path, names: Sequence[str]) -> Iterator[list[Thumbnail]]:
+    """Yield the existing layers of each view of a folder of results, in the order of `LAYERS`."""
+    side = thumbnail_side(len(names))
 
-    Args:
-        folder: Folder of results.
-        views: `per_view` of result.json.
-    """
-    side = thumbnail_side(len(views))
-
-    def of_view(view: dict[str, Any]) -> list[Thumbnail]:
-        made = []
-        for layer in LAYERS:
-            place = image_path if layer in ("detector", "masks") else jpeg_path
-            path = place(folder / layer, view["name"])
-            if path.is_file():
-                made.append(
-                    Thumbnail(layer, data_uri(path, side), url(path, folder), _alt(layer, view))
-                )
-        return made
+    def of_view(name: str) -> list[Thumbnail]:
+        paths = {layer: image_path(folder / layer, name) for layer in ("detector", "masks")}
+        paths |= {layer: jpeg_path(folder / layer, name) for layer in ("render", "overlay")}
+        return [
+            Thumbnail(layer, data_uri(paths[layer], side), url(paths[layer], folder))
+            for layer in LAYERS
+            if paths[layer].is_file()
+        ]
 
     with ThreadPoolExecutor(WORKERS) as pool:
-        yield from bounded_map(pool, of_view, views)
+        yield from bounded_map(pool, of_view, names)
 
 
 def thumbnail_side(views: int) -> int:
     """Longest side of thumbnails in pixels, such that their bytes in total stay about the same."""
-    scale = min(1.0, math.sqrt(FULL_SIZE_VIEWS / max(views, 1)))
-    return max(MIN_SIDE_PIXELS, round(MAX_SIDE_PIXELS * scale))
+    side = MAX_SIDE_PIXELS * math.sqrt(FULL_SIZE_VIEWS / max(views, 1))
+    return min(MAX_SIDE_PIXELS, max(MIN_SIDE_PIXELS, round(side)))
 
 
 def url(path: Path, folder: Path) -> str:
@@ -94,14 +85,3 @@ def data_uri(path: Path, side: int) -> str:
         small.quantize(GREY_LEVELS).save(file, "PNG", optimize=True)
     text = base64.b64encode(file.getvalue()).decode()
     return f"data:image/{'jpeg' if lossy else 'png'};base64,{text}"
-
-
-def _alt(layer: str, view: dict[str, Any]) -> str:
-    tampered = share(view["tampered_share"])
-    detail = {
-        "render": "",
-        "detector": f", {share(view['detector_share'] or 0.0)} flagged",
-        "masks": f", {tampered} tampered",
-        "overlay": f", render with {tampered} marked as tampered",
-    }
-    return f"{LAYERS[layer]} of {view['name']}{detail[layer]}"

@@ -10,46 +10,19 @@ from gsc_jax.locate import Result
 
 RELIABILITY: dict[Reliability, tuple[str, str, str]] = {
     "reliable": ("●", "reliable", "The view shows the edit, and the mask flags most of it."),
-    "inverted": (
-        "◇",
-        "inverted",
-        "The mask flags everything except the edit; it was used inverted.",
-    ),
-    "uninformative": (
-        "▽",
-        "uninformative",
-        "The view shows the edit, but the mask does not flag most of it.",
-    ),
+    "inverted": ("◇", "inverted", "The mask flags everything except the edit; it is inverted."),
+    "uninformative": ("▽", "uninformative", "The mask does not flag most of the visible edit."),
     "unseen": ("✕", "edit not in view", "The view does not show the edit."),
 }
 """Sign, name and explanation of each reliability of a mask, the most useful first."""
-TRACES: dict[str, tuple[str, str]] = {
-    "copy-move": (
-        "Copy-move",
-        "Copying a part of a scene, for example to fill a hole, repeats the same stored values.",
-    ),
-    "quantisation": (
-        "Quantisation",
-        "A file that was saved with few digits holds rounded values only; values that are not "
-        "rounded were added later.",
-    ),
-    "sh-degree": (
-        "SH degree",
-        "One training gives all Gaussians the same degree of spherical harmonics; Gaussians of "
-        "another degree come from another model.",
-    ),
-    "row-order": (
-        "Row order",
-        "Training stores Gaussians in no spatial order; an object that was appended occupies "
-        "consecutive rows.",
-    ),
-    "quaternion-convention": (
-        "Quaternion convention",
-        "A program writes all rotations in one convention; rotations in another convention were "
-        "written by another program.",
-    ),
+TRACES = {
+    "copy-move": "A copy of a part of a scene, for example in a hole, has the same stored values.",
+    "quantisation": "A file saved with few digits holds rounded values; others were added later.",
+    "sh-degree": "Gaussians of another degree of spherical harmonics come from another model.",
+    "row-order": "Training stores no spatial order; an appended object occupies consecutive rows.",
+    "quaternion-convention": "Rotations in another convention were written by another program.",
 }
-"""Title of each trace, and why it is evidence of an edit."""
+"""Why each trace is evidence of an edit."""
 MIN_EDITED = 0.65
 """Scene probability from which a sentence states an edit: about 2 to 1 odds."""
 HEADLINES: tuple[tuple[float, str], ...] = (
@@ -92,24 +65,19 @@ def labels_sentence(
 ) -> str:
     """State how many of all Gaussians are labelled as tampered, and which share they cover.
 
-    Args:
-        tampered: Number of Gaussians labelled as tampered.
-        total: Number of Gaussians.
-        verdict: Scene probability; None if the method gives none.
-        views: Number of views.
-        covered: Mean share of the pixels of a view that is tampered.
+    `covered` is the mean share of tampered pixels of `views` views.
     """
     count = f"{views} view{'' if views == 1 else 's'}"
     if not tampered:
         return f"None of {total:,} Gaussians is labelled as tampered; {count} were rendered."
     return (
-        f"{'If the scene was edited: ' if is_doubtful(verdict, tampered) else ''}"
+        f"{'If the scene was edited: ' if _is_doubtful(verdict, tampered) else ''}"
         f"{tampered:,} of {total:,} Gaussians ({share(tampered / total)}) are labelled as "
         f"tampered; they cover {share(covered)} of the pixels of {count}."
     )
 
 
-def is_doubtful(verdict: float | None, tampered: int) -> bool:
+def _is_doubtful(verdict: float | None, tampered: int) -> bool:
     """Whether Gaussians are labelled although the scene probability does not state an edit."""
     return tampered > 0 and verdict is not None and verdict < MIN_EDITED
 
@@ -156,7 +124,7 @@ def _verdict_lines(located: Located) -> list[str]:
         views=len(result.masks),
         covered=located.visible_share,
     )
-    if is_doubtful(verdict, tampered):
+    if _is_doubtful(verdict, tampered):
         line = f"{headline(verdict, tampered)} {line}"
     return [line] if verdict is None else [line, f"edited   {percent(verdict)} (scene probability)"]
 

@@ -18,13 +18,13 @@ import numpy as np
 from scipy.special import expit
 
 FULL_VIEW = 0.2
-"""A view counts fully for a class from this share of the class's weight in its best view on."""
+"""A view has full weight for a class if it sees at least this share of what the best view sees."""
 LEAST_VIEW = 0.2
 """Visibility in [0, 1] above which the rate of a class in a view is used as its pattern."""
 RATE_DIFFERENCE = 0.6
 """A view separates two classes if their rates differ by more."""
 SAME_PATTERN_VIEWS = 1.5
-"""Classes that fewer views separate belong to one thing."""
+"""Classes that fewer views separate count as one object."""
 NEGLIGIBLE_WEIGHT = 1e-4
 """Share of all weight below which a class is ignored."""
 NEAR_BEST = 0.9
@@ -32,7 +32,7 @@ NEAR_BEST = 0.9
 MIN_SHARPNESS = 0.75
 """Least mean of |2 q - 1| of a distractor or a second edit over the views that see it."""
 SECOND_EDIT = 0.8
-"""A class flagged this fraction as often as the tampered one is a second edit, not a distractor."""
+"""A class whose flag frequency exceeds this multiple of the tampered one's is a second edit."""
 EVEN_RATE, LOG_ODDS_PER_RATE = 0.55, 12.0
 """Logistic regression of "edited" on the flag rate of the tampered class."""
 PSEUDO_VIEWS = 2.0

@@ -102,10 +102,10 @@ def _conflicts(agreed: np.ndarray, labels: np.ndarray, prior: Prior | None) -> l
         )
     if prior is None or prior.verdict <= 0.5:
         return sentences
-    suspect = prior.known & (prior.probability > 0.5)
-    if (suspect & ~labels).sum() > MIN_SHARE * suspect.sum():
+    likely = prior.known & (prior.probability > 0.5)
+    if (likely & ~labels).sum() > MIN_SHARE * likely.sum():
         sentences.append(
-            f"{(suspect & ~labels).sum():,} of {suspect.sum():,} Gaussians with conspicuous "
-            "attributes are not labelled, because the masks contradict them."
+            f"{(likely & ~labels).sum():,} of {likely.sum():,} Gaussians that the attributes alone "
+            "would label are not labelled, because the masks contradict them."
         )
     return sentences

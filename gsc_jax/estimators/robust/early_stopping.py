@@ -44,7 +44,7 @@ class EarlyStopping:
         """Why no more views were used, in a sentence."""
         if self.views == self.available:
             return "All views were used."
-        return f"The last views changed {self.changes[-1]:.1%} of the labels."
+        return f"The last views changed {self.changes[-1]:.1%} of the labelled weight."
 
 
 def observe_until_stable(

@@ -1,7 +1,7 @@
 """`robust`, the estimator beyond the paper, for masks of unknown reliability.
 
-It starts from the same evidence as GS-Checker. GS-Checker charges one price lambda2 for weight
-outside the masks in every view; `robust` infers the reliability of each mask instead:
+It starts from the same evidence as GS-Checker. GS-Checker weights everything outside the masks by
+the same lambda2 in every view; `robust` infers the reliability of each mask instead:
 
 1. latent classes: Gaussians with the same pattern of flagged views (`latent_classes`);
 2. roles: which classes are authentic, tampered or distractors, and which views are inverted
@@ -20,14 +20,14 @@ import numpy as np
 from gsc_jax.estimators.protocol import Estimator, Finding, Prior, unanimous
 from gsc_jax.estimators.robust import diagnostics
 from gsc_jax.estimators.robust.class_roles import Roles, assign_roles, scene_probability
-from gsc_jax.estimators.robust.latent_classes import Fit, fit_classes
-from gsc_jax.estimators.robust.mean_field import smooth
-from gsc_jax.estimators.robust.normalise import (
+from gsc_jax.estimators.robust.gaussian_visibility import (
     blocks,
     stratified_sample,
     summed_visibility,
     visibility,
 )
+from gsc_jax.estimators.robust.latent_classes import Fit, fit_classes
+from gsc_jax.estimators.robust.mean_field import smooth
 from gsc_jax.estimators.robust.prior_fusion import fuse, log_odds_of
 from gsc_jax.evidence.lifting import Evidence
 from gsc_jax.evidence.masks import MaskRule
@@ -186,7 +186,7 @@ class RobustEstimator(Estimator):
         if roles is None:
             return estimate
         logits = -self.class_log_odds * pattern_distance(evidence, roles, self.half_weight)
-        belief = smooth(
+        class_probability = smooth(
             logits,
             roles.tampered,
             means,
@@ -194,9 +194,9 @@ class RobustEstimator(Estimator):
             strength=self.smoothing,
             neighbours=self.neighbours,
         )
-        # The best class of each kind: similar distractors must not outvote the tampered class.
+        # The best class of each kind: probabilities of similar distractors must not add up.
         kinds = roles.tampered, ~roles.tampered
-        tampered, other = (belief[:, kind].max(axis=1) for kind in kinds)
+        tampered, other = (class_probability[:, kind].max(axis=1) for kind in kinds)
         probability = np.where(seen, tampered / (tampered + other), 0.0).astype(np.float32)
         return dataclasses.replace(estimate, probability=probability)
 

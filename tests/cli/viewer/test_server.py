@@ -1,8 +1,6 @@
 """Start and end of the viewer, its output and its errors."""
 
-import contextlib
 import gc
-import io
 import socket
 import sys
 import urllib.request
@@ -41,20 +39,17 @@ def view(found: Path, **changes: Any) -> View:
 
 
 class TestRunView:
-    def test_serves_until_interrupted(self, folder):
-        lines, out = [], io.StringIO()
+    def test_serves_until_interrupted(self, folder, capsys):
+        lines = []
 
         def interrupted():
-            address = lines[0].split()[1]
-            with urllib.request.urlopen(address) as answer:
+            with urllib.request.urlopen(lines[0].split()[1]) as answer:
                 assert b"Viser client" in answer.read()
             raise KeyboardInterrupt
 
-        with contextlib.redirect_stdout(out):
-            ending = run_view(view(folder), say=lines.append, wait=interrupted)
+        ending = run_view(view(folder), say=lines.append, wait=interrupted)
         assert ending == (["the server has ended"], [])
-        assert lines[0].startswith("view     http://localhost:")
-        assert out.getvalue() == ""
+        assert capsys.readouterr().out == ""
 
     def test_results_are_released_while_serving(self, folder, monkeypatch):
         references: list[weakref.ref] = []
@@ -83,17 +78,13 @@ class TestRunView:
         run_view(view(folder), say=lambda _: None, wait=lambda: None)
         assert opened == []
 
-    def test_taken_port_is_reported(self, folder):
+    def test_taken_port_and_omitted_gaussians_are_reported(self, folder):
         lines = []
         with socket.create_server(("127.0.0.1", 0)) as taken:
             port = taken.getsockname()[1]
-            run_view(view(folder, port=port), say=lines.append, wait=lambda: None)
+            run_view(view(folder, port=port, most=10), say=lines.append, wait=lambda: None)
         assert f"port {port} is taken" in lines[0]
         assert f"localhost:{port} " not in lines[0]
-
-    def test_omitted_gaussians_are_reported_before_serving(self, folder):
-        lines = []
-        run_view(view(folder, most=10), say=lines.append, wait=lambda: None)
         assert any("10 of 1,998" in line for line in lines)
 
     def test_page_is_written(self, folder, tmp_path):
@@ -101,8 +92,7 @@ class TestRunView:
         summary, warnings = run_view(view(folder, html=path, most=50))
         assert str(path) in summary[0]
         assert "50 of 1,998" in warnings[0]
-        text = path.read_text(encoding="utf-8")
-        assert "<title>found" in text
+        assert "<title>found" in path.read_text(encoding="utf-8")
 
     @pytest.mark.parametrize(
         ("changes", "message"),

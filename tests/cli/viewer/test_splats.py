@@ -13,7 +13,6 @@ from gsc_jax.cli.viewer.poses import pose
 from gsc_jax.cli.viewer.splats import (
     fit_half_precision,
     half_precision_unit,
-    heat,
     largest,
     layer_colours,
     splats,
@@ -32,11 +31,6 @@ class TestSplats:
         np.testing.assert_allclose(inside, expected, atol=1e-5)
         np.testing.assert_array_equal(made.covariances, made.covariances.swapaxes(1, 2))
 
-    def test_colours_and_opacities_equal_those_of_the_file(self):
-        made = splats(blobs([[0, 0, 1]], opacity=0.25))
-        np.testing.assert_allclose(made.rgbs, 0.5)
-        np.testing.assert_allclose(made.opacities, [[0.25]], rtol=1e-6)
-
     @given(st.floats(1e-4, 1e4))
     def test_covariances_survive_half_precision_in_any_unit(self, size):
         scene = random_scene(200)
@@ -48,13 +42,11 @@ class TestSplats:
         largest_entry = np.abs(covariances).max(axis=(1, 2), keepdims=True)
         assert (np.abs(stored - covariances) <= 2e-3 * largest_entry).all()
 
-    def test_overflowing_covariances_keep_their_shape(self):
+    def test_covariances_of_extreme_sizes_stay_finite(self):
         huge = np.diag([1e9, 1e8, 1.0])[None].astype(np.float32)
         fitted = fit_half_precision(huge)
         assert np.isfinite(fitted.astype(np.float16)).all()
         np.testing.assert_allclose(fitted / fitted.max(), huge / huge.max(), rtol=1e-6)
-
-    def test_unit_of_points_without_extent(self):
         assert half_precision_unit(splats(blobs([[0, 0, 1]], scale=1e-30))) == 1
 
     @given(st.integers(1, 30))
@@ -85,22 +77,10 @@ class TestLayerColours:
         np.testing.assert_array_equal(tampered + authentic, self.SPLATS.opacities)
         np.testing.assert_array_equal(tampered[:, 0] > 0, np.float32(threshold) < self.SCORE)
 
-    def test_original_is_unchanged(self):
-        rgbs, opacities = layer_colours(self.SPLATS, self.SCORE, "original", 0.5)
-        np.testing.assert_array_equal(rgbs, self.SPLATS.rgbs)
-        np.testing.assert_array_equal(opacities, self.SPLATS.opacities)
-
     def test_heat_map_is_lighter_for_higher_scores(self):
         rgbs, opacities = layer_colours(self.SPLATS, self.SCORE, "heat map", 0.5)
         assert (np.diff(rgbs @ [0.299, 0.587, 0.114]) > 0.03).all()
         np.testing.assert_array_equal(opacities, self.SPLATS.opacities)
-
-    def test_heat_colours_are_in_range(self):
-        colors = heat(np.linspace(0, 1, 50))
-        assert colors.shape == (50, 3)
-        assert colors.dtype == np.float32
-        assert (colors >= 0).all()
-        assert (colors <= 1).all()
 
 
 class TestPoses:

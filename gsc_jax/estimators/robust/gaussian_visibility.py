@@ -1,4 +1,4 @@
-"""Evidence as visibility in [0, 1]: how well a view sees a Gaussian, and how much is flagged."""
+"""Visibility of Gaussians in views, from 0 to 1, the flagged part of it, and sampling by both."""
 
 from collections.abc import Iterator
 
@@ -63,8 +63,8 @@ def stratified_sample(
     size = min(size, int(np.count_nonzero(seen)))
     share = flagged / np.maximum(seen, 1e-30)
     visible = np.minimum(seen, 1.0)
-    suspect = visible * share
-    density = visible / visible.sum() + suspect / max(suspect.sum(), 1e-30)
+    flagged_part = visible * share
+    density = visible / visible.sum() + flagged_part / max(flagged_part.sum(), 1e-30)
     order = np.argsort(share, kind="stable")
     cumulative = np.cumsum(density[order], dtype=np.float64)
     steps = (np.arange(size) + 0.5) / size * cumulative[-1]

@@ -82,7 +82,10 @@ def run(
         verdict=0.97,
         reliability={name: KINDS[i % 4] for i, name in enumerate(names)},
         masks=masks,
-        probabilities={name: _probability(mask) for name, mask in masks.items()},
+        probabilities={
+            name: np.where(np.roll(mask, 3, axis=1), 0.8, 0.1).astype(np.float16)
+            for name, mask in masks.items()
+        },
         seen=np.arange(COUNT) < COUNT - 7,
         group_sizes=np.zeros((0, 3), np.int32),
         early_stopping=EarlyStopping(
@@ -139,10 +142,6 @@ def _mask(size: tuple[int, int], index: int) -> np.ndarray:
         rows, columns = int(share * y), int(share * x)
         mask[y - rows : y + rows, x - columns : x + columns] = True
     return mask
-
-
-def _probability(mask: np.ndarray) -> np.ndarray:
-    return np.where(np.roll(mask, 3, axis=1), 0.8, 0.1).astype(np.float16)
 
 
 def _prior() -> Any:

@@ -20,11 +20,11 @@ IMAGE = np.full((SIDE, SIDE, 3), 0.5, np.float32)
 IMAGE[ODD] = (0.9, 0.1, 0.1)
 
 
-def encoder(folder: Path, *, shape: tuple = (1, 3, SIDE, SIDE), dtype: int = FLOAT) -> Path:
+def encoder(folder: Path, *, shape: tuple = (1, 3, SIDE, SIDE)) -> Path:
     pool = helper.make_node(
         "AveragePool", ["pixels"], ["colours"], kernel_shape=[4, 4], strides=[4, 4]
     )
-    inputs, outputs = {"pixels": (dtype, shape)}, {"colours": (dtype, None)}
+    inputs, outputs = {"pixels": (FLOAT, shape)}, {"colours": (FLOAT, None)}
     return save(folder / "encoder.onnx", [pool], inputs, outputs, {})
 
 

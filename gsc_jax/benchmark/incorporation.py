@@ -36,14 +36,7 @@ def transformed(
 ) -> Gaussians:
     """Transform Gaussians, their harmonics included, by a similarity x -> scale R x + t.
 
-    Args:
-        gaussians: N Gaussians.
-        rotation: R, shape (3, 3).
-        scale: Positive factor.
-        translation: t in world units, shape (3,).
-
-    Raises:
-        ValueError: if the scale is not positive.
+    R has shape (3, 3); a scale that is not positive raises ValueError.
     """
     from scipy.spatial.transform import Rotation
 
@@ -68,12 +61,7 @@ def paste_object(
     rng: np.random.Generator,
     donor: Gaussians,
 ) -> ProposedEdit:
-    """Paste an object so that it covers `size`, a median share of the pixels; its rows are last.
-
-    Raises:
-        ValueError: if the object has too few opaque Gaussians or no extent.
-        EditRejected: if no candidate place is level and free.
-    """
+    """Paste an object so that it covers `size`, a median share of the pixels; its rows are last."""
     low, high = extent(donor)
     foot, (width, height, depth) = foot_of(low, high), high - low
     radius = 0.5 * np.hypot(width, depth)
@@ -151,7 +139,10 @@ def placement_cost(
 
 
 def extent(gaussians: Gaussians) -> tuple[np.ndarray, np.ndarray]:
-    """Corners of the box of the opaque centres, without the outer 0.5 % on each side."""
+    """Corners of the box of the opaque centres, without the outer 0.5 % on each side.
+
+    An object with too few opaque Gaussians or without extent raises ValueError.
+    """
     opaque = np.asarray(gaussians.opacities) > 0.5
     means = np.asarray(gaussians.means, np.float64)
     if np.count_nonzero(opaque) < 10:

@@ -3,7 +3,8 @@
 The metrics are those of IMDL-BenCo, which the paper's tables use: P = TP / (TP + FP + e), R = TP /
 (TP + FN + e), F1 = 2 P R / (P + R + e) and IoU = TP / (TP + FP + FN + e) with e = 1e-8, for
 predictions and truths > 0.5, in each view; then the mean over the tampered views. In an authentic
-view F1 is 0 by construction, so it is measured by the flagged area. No metric picks the better of a mask and its complement.
+view F1 is 0 by construction, so it is measured by the flagged area. No metric picks the better of
+a mask and its complement.
 
 With one weight per entry, the same counts apply to labels of Gaussians, weighted by opacity.
 """
@@ -55,13 +56,8 @@ class Confusion(NamedTuple):
 class Scores:
     """Mean metrics over the tampered views; NaN if no view is tampered.
 
-    Attributes:
-        f1: Mean F1.
-        iou: Mean intersection over union.
-        precision: Mean precision.
-        recall: Mean recall.
-        views: Indices of the tampered views, shape (M,).
-        per_view: F1, IoU, precision and recall of these views, by name, each of shape (M,).
+    `views` are the indices of the tampered views, shape (M,), and `per_view` holds F1, IoU,
+    precision and recall of these, by name, each of shape (M,).
     """
 
     f1: float
@@ -73,15 +69,10 @@ class Scores:
 
 
 def confusion(prediction: Array, truth: Array, *, weights: Array | None = None) -> Confusion:
-    """Count the four outcomes.
+    """Count the four outcomes, each entry with its weight, such as the opacity of a Gaussian.
 
-    Args:
-        prediction: Bool, or numbers that are flagged where > 0.5, any shape.
-        truth: Bool, or numbers that are tampered where > 0.5, same shape.
-        weights: Weight of each entry, such as the opacity of a Gaussian; 1 by default.
-
-    Raises:
-        ValueError: if the shapes differ.
+    Prediction and truth are bool, or numbers that count as true where > 0.5; different shapes of
+    the three raise ValueError.
     """
     flagged, tampered = _binary(prediction), _binary(truth)
     if flagged.shape != tampered.shape:
@@ -99,11 +90,7 @@ def f1_score(prediction: Array, truth: Array, *, weights: Array | None = None) -
 
 
 def mean_over_tampered_views(predictions: Sequence[Array], truths: Sequence[Array]) -> Scores:
-    """F1, IoU, precision and recall of masks (H, W), one per view, averaged over tampered views.
-
-    Raises:
-        ValueError: if the numbers of views differ, or the sizes in a view.
-    """
+    """F1, IoU, precision and recall of masks (H, W), one per view, averaged over tampered views."""
     if len(predictions) != len(truths):
         raise ValueError(f"{len(predictions)} predictions, but {len(truths)} truths")
     views = np.array([i for i, truth in enumerate(truths) if _binary(truth).any()], int)
@@ -123,17 +110,8 @@ def false_positive_area(predictions: Sequence[Array]) -> np.ndarray:
 def auc(scores: Array, truth: Array) -> float:
     """Probability that a tampered entry scores above an authentic one, ties counted half.
 
-    This is the area under the ROC curve, computed as Mann and Whitney's U.
-
-    Args:
-        scores: Numbers without NaN, larger where more tampered.
-        truth: Bool, or numbers that are tampered where > 0.5, same shape.
-
-    Returns:
-        The area in [0, 1]; NaN if all entries are of one kind.
-
-    Raises:
-        ValueError: if the shapes differ or a score is NaN.
+    This is the area under the ROC curve, computed as Mann and Whitney's U; NaN if all entries are
+    of one kind. Other shapes than those of the truth, and NaN scores, raise ValueError.
     """
     from scipy.stats import rankdata
 

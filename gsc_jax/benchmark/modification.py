@@ -35,11 +35,7 @@ KINDS = ("colour", "texture", "scale", "shape")
 def modify_region(
     gaussians: Gaussians, visibility: Visibility, size: float, rng: np.random.Generator
 ) -> ProposedEdit:
-    """Change a random region that covers `size`, a median share of the pixels, in a random way.
-
-    Raises:
-        EditRejected: if the region has too few Gaussians.
-    """
+    """Change a random region that covers `size`, a median share of the pixels, in a random way."""
     kind = str(rng.choice(KINDS))
     factor = rng.uniform(1.3, 1.7) if kind == "scale" else 1.0
     seed = draw_seeds(visibility, 1, rng)[0]

@@ -26,6 +26,7 @@ CANDIDATES = 8
 """Regions of which the one that is easiest to fill is removed."""
 SECTORS = 24
 """Angular sectors in which the edge of a hole is measured: 15 degrees each."""
+SECTOR_BOUNDS = np.linspace(-np.pi, np.pi, SECTORS + 1)
 MAX_SOURCE_DISTANCE = 1.6
 """Distance from the centre of the farthest Gaussian to copy, in multiples of that of the edge."""
 MAX_HEIGHT = 0.15
@@ -66,8 +67,8 @@ class Hole:
         radii, angles = _polar(self.ring[self.in_surface])
         edge = _edge_radius(self.rows, angles)
         bounds = np.array([1, (1 + MAX_SOURCE_DISTANCE) / 2, MAX_SOURCE_DISTANCE])
-        counts = np.histogram2d(radii / edge, angles, bins=[bounds, _sector_bounds()])[0]
-        middles = _sector_bounds()[1:] - np.pi / SECTORS
+        counts = np.histogram2d(radii / edge, angles, bins=[bounds, SECTOR_BOUNDS])[0]
+        middles = SECTOR_BOUNDS[1:] - np.pi / SECTORS
         edges = _edge_radius(self.rows, middles)
         return counts, np.outer(np.diff(bounds**2), edges**2) * np.pi / SECTORS
 
@@ -92,11 +93,7 @@ class Hole:
 def remove_region(
     gaussians: Gaussians, visibility: Visibility, size: float, rng: np.random.Generator
 ) -> ProposedEdit:
-    """Remove a region that covers `size`, a median share of the pixels, and fill the hole.
-
-    Raises:
-        EditRejected: if no candidate region has surroundings to copy.
-    """
+    """Remove a region that covers `size`, a median share of the pixels, and fill the hole."""
     seeds = draw_seeds(visibility, CANDIDATES, rng)
     regions = [grow_region(gaussians, visibility, row, size) for row in seeds]
     # Gaussians that no view sees, as inside a cupboard, must not appear in the fill.
@@ -161,7 +158,7 @@ def _uniform_points(hole: Hole, rng: np.random.Generator) -> np.ndarray:
     """Random points all over the footprint of a hole, as dense as the ring, shape (P, 2)."""
     counts, areas = hole.sector_counts
     density = counts.sum() / areas[counts > 0].sum()
-    far = _edge_radius(hole.rows, _sector_bounds()).max()
+    far = _edge_radius(hole.rows, SECTOR_BOUNDS).max()
     flat = rng.uniform(-far, far, (round(density * (2 * far) ** 2), 2))
     radii, angles = _polar(flat)
     return flat[radii < _edge_radius(hole.rows, angles)]
@@ -171,10 +168,6 @@ def _polar(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Distances from the origin and angles in the first two coordinates, shapes (P,)."""
     u, v = points[:, 0], points[:, 1]
     return np.hypot(u, v), np.arctan2(v, u)
-
-
-def _sector_bounds() -> np.ndarray:
-    return np.linspace(-np.pi, np.pi, SECTORS + 1)
 
 
 def _main_plane(points: np.ndarray) -> np.ndarray:
@@ -216,8 +209,8 @@ def _fit_quadratic(points: np.ndarray) -> np.ndarray:
 def _edge_radius(points: np.ndarray, angles: np.ndarray) -> np.ndarray:
     """Radius of the edge of points at these angles, smoothed over sectors."""
     radii, directions = _polar(points)
-    centers = _sector_bounds()[1:] - np.pi / SECTORS
-    sector = np.digitize(directions, _sector_bounds()[1:-1])
+    centers = SECTOR_BOUNDS[1:] - np.pi / SECTORS
+    sector = np.digitize(directions, SECTOR_BOUNDS[1:-1])
     middle = np.quantile(radii, 0.8)
     edge = np.array(
         [np.quantile(np.append(radii[sector == s], middle), 0.95) for s in range(SECTORS)]

@@ -3,7 +3,7 @@
 The demo and the tests run on it, since no trained scene can be shipped. The object has the
 statistics of another training, like an object cut from another model, and the rows are shuffled, so
 that neither order nor position in the file reveals it. Metres, y down, floor at y = 0. Textures are
-images of scikit-image, so nothing is downloaded.
+images of scikit-image, so nothing is downloaded; if they are missing, there is an InputError.
 """
 
 import dataclasses
@@ -26,13 +26,9 @@ OBJECT_STATISTICS = TrainingStatistics(
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class MadeScene:
-    """A scene with a pasted object, and its truth.
+    """A scene, rows shuffled, with cameras for the estimator and other ones for the metrics.
 
-    Attributes:
-        gaussians: N Gaussians, rows shuffled.
-        cameras: Cameras for the estimator.
-        heldout_cameras: Other cameras, for the metrics.
-        labels: True where a Gaussian belongs to the pasted object, shape (N,).
+    `labels` (N,) is True where a Gaussian belongs to the pasted object.
     """
 
     gaussians: Gaussians
@@ -42,11 +38,7 @@ class MadeScene:
 
 
 def make_room(*, seed: int = 0, count: int = 50_000) -> Gaussians:
-    """Make a furnished, textured room of `count` Gaussians of degree 1.
-
-    Raises:
-        InputError: if the installed scikit-image lacks its images.
-    """
+    """Make a furnished, textured room of `count` Gaussians of degree 1."""
     rng = np.random.default_rng(seed)
     floaters = round(count * FLOATER_SHARE)
     statistics = TrainingStatistics()
@@ -55,11 +47,7 @@ def make_room(*, seed: int = 0, count: int = 50_000) -> Gaussians:
 
 
 def make_object(*, seed: int = 0, count: int = 5_000) -> Gaussians:
-    """Make a vase, 0.6 m high, that stands on the origin, of `count` Gaussians of degree 1.
-
-    Raises:
-        InputError: if the installed scikit-image lacks its images.
-    """
+    """Make a vase, 0.6 m high, that stands on the origin, of `count` Gaussians of degree 1."""
     rng = np.random.default_rng([seed, 1])
     return sample_parts(vase_parts(), count, statistics=OBJECT_STATISTICS, rng=rng)
 
@@ -95,18 +83,10 @@ def tampered_room(
     width: int = 480,
     height: int = 360,
 ) -> MadeScene:
-    """Make the room with the object, a tenth of all Gaussians, on its table.
+    """Make the room with the object, a tenth of all `count` Gaussians, on its table.
 
-    Args:
-        seed: Seed of scene, object and cameras.
-        count: Number of Gaussians N.
-        views: Number of cameras for the estimator.
-        heldout: Number of other cameras, for the metrics.
-        width: Image width in pixels.
-        height: Image height in pixels.
-
-    Raises:
-        InputError: if the installed scikit-image lacks its images.
+    There are `views` cameras for the estimator, with images of width x height pixels, and `heldout`
+    other ones for the metrics.
     """
     foreign = count // 10
     room = make_room(seed=seed, count=count - foreign)

@@ -71,16 +71,9 @@ def simulate(
 ) -> np.ndarray:
     """Probability maps (V, H, W) of a detector with these failures, float32.
 
-    Shares of views are exact up to rounding; which views fail is random.
-
-    Args:
-        truth: True masks, shape (V, H, W) bool.
-        decoy: Masks of an authentic region to flag, shape (V, H, W) bool.
-        seed: Seed of the random choices.
-        failures: Strengths of the failures.
-
-    Raises:
-        ValueError: if the shapes differ, or `failures.decoy` is positive without a decoy.
+    Shares of views are exact up to rounding; which views fail is random. Truth and decoy, an
+    authentic region that is flagged, are masks of shape (V, H, W); `failures.decoy` without a decoy
+    raises ValueError.
     """
     if truth.ndim != 3:
         raise ValueError(f"truth must have shape (V, H, W), got {truth.shape}")
@@ -105,9 +98,7 @@ def decoy_labels(gaussians: Gaussians, labels: np.ndarray, *, seed: int) -> np.n
 
     The region has at most as many Gaussians as the object and is not larger. It lies near the
     object, where its cameras look; of a few random places, the one with most Gaussians is taken.
-
-    Raises:
-        ValueError: if nothing is tampered, or no opaque Gaussian lies apart from the object.
+    If nothing is tampered, or no opaque Gaussian lies apart from the object, raises ValueError.
     """
     from scipy.spatial import KDTree
 

@@ -108,12 +108,10 @@ def box(foot: Vector, width: float, height: float, depth: float) -> list[Surface
 
 
 def revolve(profile: np.ndarray, foot: Vector, *, axis: int = 1) -> Surface:
-    """Surface of revolution about an axis through a point.
+    """Surface of revolution about a coordinate axis through `foot`, the point at height 0.
 
-    Args:
-        profile: Radius and height of the curve, upwards for an outside, shape (P, 2).
-        foot: Point at height 0.
-        axis: Index of the axis of revolution; heights are negative coordinates along it.
+    The profile holds radius and height of the curve, upwards for an outside, shape (P, 2); heights
+    are negative coordinates along the axis.
     """
     pieces = np.diff(profile, axis=0)
     middle = (profile[1:, 0] + profile[:-1, 0]) / 2

@@ -62,14 +62,10 @@ class ConfigFile:
 
 
 def read_config_file(path: str | Path) -> ConfigFile:
-    """Read a file for `--config`.
-
-    Args:
-        path: A result.json, its folder, or a .toml or .json file with `command` and `config`.
+    """Read a result.json, its folder, or a .toml or .json file with `command` and `config`.
 
     Raises:
-        InputError: if the file cannot be read, or has an unknown key, a wrong type or a
-            contradiction.
+        InputError: if the file cannot be read, has an unknown key, a wrong type or a contradiction.
     """
     path = Path(path)
     path = path / "result.json" if path.is_dir() else path

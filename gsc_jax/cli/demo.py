@@ -8,16 +8,12 @@ scored on views that no method was given.
 import dataclasses
 import sys
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from gsc_jax.benchmark.metrics import (
-    confusion,
-    mean_over_tampered_views,
-    truth_mask,
-)
+from gsc_jax.benchmark.metrics import Scores, confusion, mean_over_tampered_views, truth_mask
 from gsc_jax.benchmark.scenes import MadeScene, tampered_room
 from gsc_jax.benchmark.simulate import REGIMES, decoy_labels, simulate
 from gsc_jax.cli.locate import run_locate
@@ -32,6 +28,7 @@ from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.io.cameras import save_cameras
 from gsc_jax.io.masks import write_mask, write_probability
 from gsc_jax.locate import Result
+from gsc_jax.scene import Camera
 from gsc_jax.splat import render
 
 REGIME = "mixture"
@@ -64,14 +61,16 @@ class Case:
     truth: Views
     detector: Views
 
+    def scores(self, masks: Views, cameras: Sequence[Camera]) -> Scores:
+        """Mean scores of masks over the tampered views among some cameras."""
+        names = [camera.name for camera in cameras]
+        return mean_over_tampered_views([masks[n] for n in names], [self.truth[n] for n in names])
+
 
 def run_demo(
     options: Demo, *, made: MadeScene | None = None, monitor: Monitor | None = None
 ) -> list[str]:
-    """Generate the scene, by default `tampered_room`, run every method, and compare.
-
-    Returns:
-        Lines to print.
+    """Generate the scene, by default `tampered_room`, run every method; return lines to print.
 
     Raises:
         InputError: if the folder cannot be written to.
@@ -148,10 +147,7 @@ def _heldout_masks(made: MadeScene, result: Result) -> Views:
 def _introduction(case: Case) -> list[str]:
     made, failures = case.made, REGIMES[REGIME]
     camera = made.cameras[0]
-    names = [camera.name for camera in made.cameras]
-    scores = mean_over_tampered_views(
-        [case.detector[name] for name in names], [case.truth[name] for name in names]
-    )
+    scores = case.scores(case.detector, made.cameras)
     return textwrap.wrap(
         f"A generated room of {len(made.labels):,} Gaussians, {made.labels.sum():,} of which are a "
         f"vase pasted onto the table; {len(made.cameras)} views of {camera.width} x "
@@ -170,7 +166,6 @@ def _score_table(
     """Scores of the labels, and of the masks of the held-out views; the detector has no labels."""
     titles = ("found", "precision", "recall", "F1", "views: F1", "IoU")
     lines = [f"{'Gaussians':20}" + "".join(f"{title:>11}" for title in titles)]
-    names = [camera.name for camera in case.made.heldout_cameras]
     for method, masks in {"detector alone": case.detector, **found}.items():
         cells = [""] * 4
         if method in results:
@@ -178,9 +173,7 @@ def _score_table(
             score = confusion(labels, case.made.labels)
             measures = (score.precision, score.recall, score.f1)
             cells = [f"{labels.sum():,}", *(f"{measure:.3f}" for measure in measures)]
-        means = mean_over_tampered_views(
-            [masks[name] for name in names], [case.truth[name] for name in names]
-        )
+        means = case.scores(masks, case.made.heldout_cameras)
         cells += [f"{means.f1:.3f}", f"{means.iou:.3f}"]
         lines.append(f"{method:20}" + "".join(f"{cell:>11}" for cell in cells))
     return lines

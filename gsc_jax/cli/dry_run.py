@@ -13,10 +13,7 @@ from gsc_jax.scene import InputError
 
 
 def dry_run(options: Locate, *, monitor: Monitor) -> tuple[list[str], list[str]]:
-    """Describe a run of `locate` without writing anything to its folder.
-
-    Returns:
-        Lines to print, and the warnings about the input.
+    """Describe a run of `locate`, which is not started: lines to print, and warnings.
 
     Raises:
         InputError: if the run would raise it for its input or its folder.
@@ -49,8 +46,7 @@ def _check_writable(out: Path) -> None:
 
 def _views(inputs: Inputs) -> str:
     sizes = [(camera.width, camera.height) for camera in inputs.cameras]
-    extremes = dict.fromkeys((min(sizes), max(sizes)))
-    pixels = " to ".join(f"{width} x {height}" for width, height in extremes)
+    pixels = " to ".join(f"{w} x {h}" for w, h in dict.fromkeys((min(sizes), max(sizes))))
     cameras = inputs.options.cameras
     return f"{len(sizes)} of {pixels} pixels, {f'from {cameras}' if cameras else 'on an orbit'}"
 

@@ -33,10 +33,7 @@ Masks = dict[str, np.ndarray]
 
 
 def run_evaluate(options: Evaluate) -> tuple[list[str], list[str]]:
-    """Compare results with the truth and write the scores.
-
-    Returns:
-        Lines to print, and warnings.
+    """Compare results with the truth and write the scores; return lines to print, and warnings.
 
     Raises:
         InputError: if the folder holds no results, or the truth does not belong to them.

@@ -28,10 +28,7 @@ from gsc_jax.scene import Camera, InputError
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Inputs:
-    """The validated input of a run; `attributes`: whether those of the Gaussians are evidence.
-
-    `options` name the spec file beside the model, `files` are all files and folders that are read.
-    """
+    """The validated input of a run; `attributes`: whether those of the Gaussians are evidence."""
 
     options: Locate
     estimator: Estimator

@@ -26,8 +26,7 @@ class Locate(SceneOptions):
       ONNX model runs on the rendered views. A mask is a grey image
       named after its camera; white is tampered.
 
-    check a run, and repeat it with another threshold:
-      gsc-jax locate scene.ply --out found --dry-run
+    repeat a run with another threshold:
       gsc-jax locate --config found/result.json --threshold 0.7 \
               --out stricter
 

@@ -68,8 +68,8 @@ class Render(SceneOptions):
     for example:
       gsc-jax render scene.ply --cameras cameras.json --out views
 
-    The images are input for a 2D detector of your own;
-    `gsc-jax locate --masks` reads the masks that it writes.
+    the images are input for a 2D detector of your own:
+      `gsc-jax locate --masks DIR` reads the masks that it writes
 
     Attributes:
         background: Background colour: red, green and blue from 0 to 1.
@@ -126,8 +126,9 @@ class Demo:
     for example:
       gsc-jax demo --out demo
 
-    The scene is a furnished room with a vase pasted onto the table,
-    with masks of a simulated 2D detector. Nothing is downloaded.
+    the scene:
+      A room with a vase pasted onto the table, and masks of a
+      simulated 2D detector. Nothing is downloaded.
 
     Attributes:
         out: Folder for the scene, the masks and the results, created if missing.

@@ -89,6 +89,7 @@ def _numbers(command: dict[str, Any], located: Located) -> dict[str, Any]:
     """Configuration and results of a run."""
     result = located.result
     config = dataclasses.asdict(result.estimator)  # pyright: ignore[reportArgumentType]
+    scene, seen = located.scene, int(result.seen.sum())
     stopping, prior = result.early_stopping, result.prior
     traces = [trace for trace in getattr(prior, "traces", ()) if trace.found]
     return {
@@ -99,7 +100,14 @@ def _numbers(command: dict[str, Any], located: Located) -> dict[str, Any]:
         "verdict": result.verdict,
         "attributes": prior
         and {"verdict": prior.verdict, "traces": {t.name: t.explanation for t in traces}},
-        "counts": _counts(located),
+        "counts": {
+            "rows": scene.total,
+            "dropped": scene.dropped,
+            "gaussians": len(scene.rows),
+            "seen": seen,
+            "unseen": len(scene.rows) - seen,
+            "tampered": int(result.labels.sum()),
+        },
         "views": len(result.masks),
         "judged_views": len(result.probabilities),
         "early_stopping": stopping and {**dataclasses.asdict(stopping), "reason": stopping.reason},
@@ -110,19 +118,6 @@ def _numbers(command: dict[str, Any], located: Located) -> dict[str, Any]:
         "warnings": located.warnings,
         "versions": versions(),
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
-    }
-
-
-def _counts(located: Located) -> dict[str, Any]:
-    result, scene = located.result, located.scene
-    seen = int(result.seen.sum())
-    return {
-        "rows": scene.total,
-        "dropped": scene.dropped,
-        "gaussians": len(scene.rows),
-        "seen": seen,
-        "unseen": len(scene.rows) - seen,
-        "tampered": int(result.labels.sum()),
     }
 
 

@@ -18,15 +18,7 @@ JPEG_QUALITY = 90
 
 
 def overlay(rgb: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Tint and outline a mask in a picture.
-
-    Args:
-        rgb: The picture in [0, 1], shape (H, W, 3).
-        mask: Pixels to mark, shape (H, W) bool.
-
-    Returns:
-        A new picture, shape (H, W, 3) float32, unchanged away from the mask.
-    """
+    """Tint and outline a mask (H, W) in a copy of a picture (H, W, 3) in [0, 1]."""
     from scipy.ndimage import binary_dilation
 
     rgb, mask = np.asarray(rgb, np.float32), np.asarray(mask, bool)
@@ -46,11 +38,7 @@ def jpeg_path(folder: str | Path, name: str) -> Path:
 
 
 def write_jpeg(path: str | Path, rgb: np.ndarray) -> None:
-    """Write a picture (H, W, 3), clipped to [0, 1], and the folders of its path.
-
-    Raises:
-        InputError: if the file cannot be written.
-    """
+    """Write a picture (H, W, 3), clipped to [0, 1], and the folders of its path."""
     from PIL import Image
     from skimage.util import img_as_ubyte
 
@@ -67,11 +55,7 @@ def contact_sheet(
     titles: Sequence[str],
     labels: Sequence[str],
 ) -> None:
-    """Write pictures, (H, W, 3) or grey (H, W), in [0, 1] or bool, as a table into a .png.
-
-    Raises:
-        InputError: if the file cannot be written.
-    """
+    """Write pictures, (H, W, 3) or grey (H, W), in [0, 1] or bool, as a table into a .png."""
     from matplotlib.figure import Figure
 
     height, width = rows[0][0].shape[:2]

@@ -14,10 +14,7 @@ from gsc_jax.splat import render
 
 
 def run_render(options: Render, *, monitor: Monitor) -> tuple[list[str], list[str]]:
-    """Render a scene file from its cameras, one image per camera.
-
-    Returns:
-        Lines to print, and warnings.
+    """Render a scene file from its cameras; return lines to print, and warnings.
 
     Raises:
         InputError: if an input is invalid or an image cannot be written.

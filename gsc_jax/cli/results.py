@@ -17,7 +17,7 @@ from gsc_jax.io.ply import read_ply
 from gsc_jax.scene import Camera, Gaussians, InputError
 
 AGAIN = "run gsc-jax locate again"
-KEYS = {"config", "counts", "per_view", "tampered_share_of_views", "verdict"}
+KEYS = {"config", "counts", "per_view", "tampered_share_of_views"}
 """Keys of result.json that are read again."""
 
 
@@ -26,7 +26,6 @@ class Results:
     """A folder of results.
 
     Attributes:
-        folder: The folder.
         report: Content of result.json.
         gaussians: The N Gaussians that can be rendered, NumPy float32.
         rows: Row of each of them in the scene file, ascending, shape (N,) int64.
@@ -52,10 +51,7 @@ class Results:
 
 
 def read_results(folder: str | Path) -> Results:
-    """Read the results of `gsc-jax locate`.
-
-    Args:
-        folder: The --out of the run.
+    """Read the results of `gsc-jax locate` from the --out of the run.
 
     Raises:
         InputError: if the folder holds no results, or files of it are missing, damaged, of another

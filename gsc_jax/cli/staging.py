@@ -4,9 +4,8 @@ A run that fails or is interrupted leaves the folder as it was. A run that succe
 files of the run before, including masks of cameras that it does not use, so that the files in the
 folder belong together. No other file is touched, and no input of the run.
 
-Old reports are removed first and new ones are moved last. If the process is killed or the disk is
-full while files are moved, the folder holds no report instead of a report of other files. A later
-run removes temporary folders that were left behind.
+Old reports are removed first and new ones are moved last. If the process is killed while files are
+moved, the folder holds no report. A later run removes temporary folders that were left behind.
 """
 
 import contextlib

@@ -40,14 +40,10 @@ OVERVIEW_ROWS = 4
 
 
 def run_tamper(options: Tamper, *, monitor: Monitor) -> tuple[list[str], list[str]]:
-    """Edit a scene file and write the result with its truth.
-
-    Returns:
-        Lines to print, and warnings.
+    """Edit a scene file and write it with its truth; return lines to print, and warnings.
 
     Raises:
-        InputError: if an input is invalid, no place for the edit is found, or nothing can be
-            written.
+        InputError: if an input is invalid, or no place for the edit is found.
     """
     warnings: list[str] = []
     check_numbers(options)

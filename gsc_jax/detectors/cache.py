@@ -27,22 +27,16 @@ MAX_BYTES = 2 * 2**30
 class CachedDetector:
     """A detector whose outputs are stored between runs, with its `diagnostics` of each view.
 
-    Attributes:
-        detector: The detector that computes missing outputs.
-        folder: The folder of the cache.
-        needs_image: Whether the detector uses the image; if not, nothing is cached.
+    Nothing is cached if the detector does not need the image.
     """
 
     def __init__(
         self, detector: Detector, folder: str | Path, key: str, *, max_bytes: int = MAX_BYTES
     ):
-        """Configure the cache; the folder is created when it is first used.
+        """Configure a cache in a folder of its own, which is created when it is first used.
 
-        Args:
-            detector: The detector to cache.
-            folder: A folder for the cache alone.
-            key: Identifies the detector with all its options, such as `OnnxDetector.fingerprint`.
-            max_bytes: Size above which the least recently used outputs are removed.
+        The key identifies the detector with all its options, such as `OnnxDetector.fingerprint`.
+        Above `max_bytes`, the least recently used outputs are removed.
         """
         self.detector = detector
         self.folder = Path(folder)
@@ -58,9 +52,7 @@ class CachedDetector:
     def __call__(self, image: np.ndarray | None, camera: Camera) -> np.ndarray:
         """Stored or computed probability of tampering in a view, shape (h, w) float32.
 
-        Args:
-            image: The rendered view, shape (H, W, 3).
-            camera: Its camera, which must not influence the output.
+        The camera must not influence the output of the detector.
         """
         if image is None:
             return self.detector(image, camera)
@@ -96,10 +88,8 @@ class CachedDetector:
         )
 
     def _digest(self, image: np.ndarray) -> str:
-        facts = f"{self._key} {image.shape} {image.dtype}"
-        digest = hashlib.blake2b(facts.encode(), digest_size=16)
-        digest.update(np.ascontiguousarray(image).data)
-        return digest.hexdigest()
+        facts = f"{self._key} {image.shape} {image.dtype}".encode()
+        return hashlib.blake2b(facts + image.tobytes(), digest_size=16).hexdigest()
 
     def _read(self, image: np.ndarray) -> tuple[np.ndarray, Any] | None:
         """Stored output and diagnostics, or None if there are none or they are damaged."""

@@ -13,12 +13,8 @@ as one or two base-128 digits, lowest first. The value follows."""
 def fingerprint(path: Path, *facts: object) -> str:
     """Digest of everything that determines the output of a model for an image.
 
-    This is the model with its external tensors, the version of onnxruntime, the code of this folder
-    and the given facts.
-
-    Args:
-        path: A model that onnxruntime has loaded.
-        facts: Values with a complete `repr`, such as the spec and the providers.
+    This is the model, which onnxruntime has loaded, with its external tensors, the version of
+    onnxruntime, the code of this folder and the given facts, such as the spec and the providers.
     """
     import onnxruntime
 

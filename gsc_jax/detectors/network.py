@@ -21,13 +21,11 @@ NUMBERS: Mapping[str, type] = {
 
 @dataclasses.dataclass(frozen=True)
 class TensorSpec:
-    """Expected type and shape of an input or output.
+    """Expected type and shape of an input or output, whose name in error messages is `role`.
 
-    Attributes:
-        role: Its name in error messages.
-        shape: Its sides, None where any length is valid; a name stands for a length that is the
-            same in all tensors of the network. None for any shape.
-        types: NumPy type of each valid ONNX type; None for any type, of outputs only.
+    A side is None where any length is valid; a name stands for a length that is the same in all
+    tensors of the network. `types` holds the NumPy type of each valid ONNX type. None stands for
+    any shape, or, of outputs only, for any type.
     """
 
     role: str
@@ -39,7 +37,6 @@ class Network:
     """An ONNX model that is checked when it is loaded, as far as it declares shapes, and when run.
 
     Attributes:
-        path: The model.
         providers: Execution providers in use.
         inputs: The inputs, with `name`, `type` and declared `shape`; a free side is a name or None.
         outputs: The computed outputs, likewise; the shape is empty if the model declares none.
@@ -55,7 +52,7 @@ class Network:
         providers: Sequence[str] = CPU,
         threads: int = 0,
     ):
-        """Load a model and check its inputs and outputs.
+        """Load a model with `open_session`; raise InputError if its tensors differ from the specs.
 
         Args:
             path: The .onnx file.
@@ -63,9 +60,6 @@ class Network:
             outputs: Outputs to compute, by position or name; the model may have others.
             providers: See `open_session`.
             threads: See `open_session`.
-
-        Raises:
-            InputError: If the file is not a valid model, or its tensors differ from the specs.
         """
         self.path = path
         self._session = open_session(path, providers=providers, threads=threads)
@@ -87,14 +81,10 @@ class Network:
             self._check(tensor, tensor.shape or spec.shape or (), spec, self.sides)
 
     def run(self, *arrays: np.ndarray, view: str) -> list[np.ndarray]:
-        """Compute the outputs, float32.
+        """Compute the outputs, float32; arrays are converted to the types of the inputs.
 
-        Args:
-            arrays: One array per input; converted to the type of the input.
-            view: Name of the view, for error messages.
-
-        Raises:
-            InputError: If the inference fails, or an output has an unexpected shape.
+        Raises InputError, with the name of the view, if the inference fails or an output has an
+        unexpected shape.
         """
         pairs = list(zip(self.inputs, arrays, strict=True))
         feed = {tensor.name: array.astype(NUMBERS[tensor.type]) for tensor, array in pairs}
@@ -137,12 +127,9 @@ class Network:
 
 
 def fits(shape: Shape, expected: Shape, sides: dict[str, int] | None = None) -> bool:
-    """Whether a shape, of which sides can be free, can be the expected one.
+    """Whether a shape, whose free sides are names or None, can be the expected one.
 
-    Args:
-        shape: Free sides are names or None.
-        expected: Its names stand for the lengths in `sides`, None for any length.
-        sides: Lengths of named sides, to which those of the shape are added.
+    There, names stand for the lengths in `sides`, to which those of the shape are added.
     """
     sides = {} if sides is None else sides
     for found, side in zip(shape, expected, strict=False):

@@ -34,17 +34,9 @@ class NetworkDetector(ABC):
         return list(cameras)
 
     def __call__(self, image: np.ndarray | None, camera: Camera) -> np.ndarray:
-        """Probability of tampering in a view.
+        """Probability of tampering in a view at the resolution of the network, (h, w) float32.
 
-        Args:
-            image: The rendered view in [0, 1], shape (H, W, 3) float32.
-            camera: Its camera; only the name is used, in messages.
-
-        Returns:
-            Map of the whole view at the resolution of the network, shape (h, w) float32.
-
-        Raises:
-            InputError: If the network fails on the image or its output is invalid.
+        Raises InputError if the network fails on the image (H, W, 3) or its output is invalid.
         """
         if image is None:
             raise ValueError(f"{type(self).__name__} needs the rendered image")

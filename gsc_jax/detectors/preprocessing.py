@@ -8,16 +8,10 @@ Size = tuple[int, int]
 
 
 def fit_image(image: np.ndarray, target: Size, *, fit: str) -> tuple[np.ndarray, Size]:
-    """Resize or pad an image.
+    """Resize or pad an image (H, W, 3) to a target size; also return its size without the padding.
 
-    Args:
-        image: Shape (H, W, 3).
-        target: Height and width of the result.
-        fit: "pad" shrinks a larger image with its aspect ratio and adds black at the bottom and the
-            right; any other value resizes without keeping the aspect ratio.
-
-    Returns:
-        The image at the target size, float32, and the height and width without the padding.
+    "pad" shrinks a larger image with its aspect ratio and adds black at the bottom and the right;
+    any other `fit` resizes without keeping the aspect ratio.
     """
     if fit != "pad":
         return resize_bilinear(image, target), target
@@ -28,15 +22,7 @@ def fit_image(image: np.ndarray, target: Size, *, fit: str) -> tuple[np.ndarray,
 
 
 def to_tensor(image: np.ndarray, spec: OnnxSpec) -> np.ndarray:
-    """Normalise an image and add the batch axis.
-
-    Args:
-        image: RGB in [0, 1] at the input size of the network, shape (H, W, 3).
-        spec: Channel order, layout and statistics of the network.
-
-    Returns:
-        Shape (1, 3, H, W) or (1, H, W, 3) float32.
-    """
+    """Normalise RGB in [0, 1], (H, W, 3), to an input (1, 3, H, W) or (1, H, W, 3) float32."""
     colours = np.float32(spec.scale) * (image[..., ::-1] if spec.channels == "bgr" else image)
     tensor = (colours - np.array(spec.mean, np.float32)) / np.array(spec.std, np.float32)
     if spec.layout == "NCHW":
@@ -45,15 +31,10 @@ def to_tensor(image: np.ndarray, spec: OnnxSpec) -> np.ndarray:
 
 
 def crop_map(probability: np.ndarray, target: Size, content: Size) -> np.ndarray:
-    """Remove the padding from a map; upsample the map first if the crop would cut through a cell.
+    """Remove the padding from a map of the whole input, which can have any resolution.
 
-    Args:
-        probability: Map of the whole network input at any resolution, shape (h, w).
-        target: Height and width of the network input.
-        content: Height and width of the part without padding, from `fit_image`.
-
-    Returns:
-        Map of the image without padding, float32.
+    Target and content are the sizes of the input and of its part without padding. If the crop would
+    cut through a cell of the map, it is upsampled first.
     """
     if content == target:
         return probability
@@ -64,10 +45,9 @@ def crop_map(probability: np.ndarray, target: Size, content: Size) -> np.ndarray
 
 
 def remap_threshold(probability: np.ndarray, threshold: float) -> np.ndarray:
-    """Map a threshold in (0, 1) to 0.5, piecewise linearly.
+    """Map a threshold in (0, 1) to 0.5, piecewise linearly, float32.
 
-    Returns:
-        Values in [0, 1], float32, above 0.5 exactly where the probability exceeds the threshold.
+    Values are above 0.5 exactly where the probability exceeds the threshold.
     """
     remapped = np.interp(probability, (0, threshold, 1), (0, 0.5, 1)).astype(np.float32)
     half = np.float32(0.5)

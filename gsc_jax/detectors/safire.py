@@ -45,14 +45,7 @@ CONFIDENCES = TensorSpec("confidences (one per point)", ("P", 1))
 
 
 class SafireDetector(NetworkDetector):
-    """A 2D detector that runs SAFIRE on the rendered views.
-
-    Attributes:
-        encoder: The file of the encoder.
-        decoder: The file of the decoder.
-        grid: Prompts per side of the image.
-        seed: Seed of the clustering.
-    """
+    """A 2D detector that runs SAFIRE on the rendered views."""
 
     anomalies: ClassVar = {
         "one_source": "nothing flagged, because all masks belong to one group (of one source),",
@@ -125,10 +118,7 @@ class SafireDetector(NetworkDetector):
             # Repeats of the last point fill the last batch, since the batch size may be fixed.
             rows = np.arange(start, start + self._batch).clip(max=len(points) - 1)
             some_masks, trust = self._decoder.run(embeddings, points[rows, None], labels, view=view)
-            if (
-                some_masks.shape[2] % embeddings.shape[2]
-                or some_masks.shape[3] % embeddings.shape[3]
-            ):
+            if np.any(np.remainder(some_masks.shape[2:], embeddings.shape[2:])):
                 raise InputError(
                     f"{self.decoder}: gives masks {shape_text(some_masks.shape)} of embeddings "
                     f"{shape_text(embeddings.shape)}, expected sides that are multiples of theirs; "

@@ -35,11 +35,7 @@ SATURATED_LOGIT = 80.0
 
 
 def point_grid(count: int, *, side: int) -> np.ndarray:
-    """Centres of count x count cells of a square image, row by row.
-
-    Returns:
-        x and y in pixels, shape (count^2, 2) float32.
-    """
+    """Centres (x, y) of count x count cells of a square image in pixels, (count^2, 2) float32."""
     centres = (np.arange(count, dtype=np.float32) + np.float32(0.5)) * np.float32(side / count)
     x, y = np.meshgrid(centres, centres)
     return np.stack([x.ravel(), y.ravel()], axis=-1)
@@ -85,14 +81,9 @@ def forged_region(
 
 
 def mask_directions(logits: np.ndarray, embeddings: np.ndarray) -> np.ndarray:
-    """Direction of the mean embedding inside each mask.
+    """Direction of the mean embedding inside each mask; see `forged_region` for the arguments.
 
-    Args:
-        logits: Masks, positive inside, shape (P, h, w).
-        embeddings: Shape (C, H, W); H divides h, W divides w.
-
-    Returns:
-        Unit vectors, shape (P, C) float64; NaN for an empty mask, and for NaN in mask or mean.
+    Unit vectors, shape (P, C) float64; NaN for an empty mask, and for NaN in mask or mean.
     """
     count, height, width = logits.shape
     channels, rows, columns = embeddings.shape
@@ -106,16 +97,13 @@ def mask_directions(logits: np.ndarray, embeddings: np.ndarray) -> np.ndarray:
 
 
 def two_groups(directions: np.ndarray, *, seed: int = 0) -> np.ndarray | None:
-    """Partition directions by spherical k-means, k = 2: maximise the summed lengths of the sums.
+    """Partition unit vectors (P, C) by spherical k-means, k = 2, with starts as in k-means++.
 
     The k-means of SciPy is Euclidean, so its border is closer to the narrower group.
 
-    Args:
-        directions: Unit vectors, shape (P, C).
-        seed: Seed of the starts, which are drawn as in k-means++.
-
     Returns:
-        0 or 1 for each, shape (P,); None if two groups explain no more than one.
+        0 or 1 for each, shape (P,), with the largest summed lengths of the sums of both groups;
+        None if two groups explain no more than one.
     """
     rng = np.random.default_rng(seed)
     longest = np.linalg.norm(directions.sum(axis=0)) + MIN_GAIN * len(directions)

@@ -20,16 +20,13 @@ SUFFIX = "ExecutionProvider"
 def open_session(
     path: Path, *, providers: Sequence[str] = CPU, threads: int = 0
 ) -> "InferenceSession":
-    """Load an ONNX model.
+    """Load an ONNX model; its session prints nothing.
 
     Args:
         path: The .onnx file.
         providers: Execution providers of onnxruntime in order of preference, by full or short name
             ("cuda"). The CPU runs the operations that they lack.
         threads: Threads of one inference, 0 for all cores.
-
-    Returns:
-        The session, which prints nothing.
 
     Raises:
         InputError: If the file is not a valid model, has external tensors outside its folder, or
@@ -70,8 +67,7 @@ def open_session(
 def provider_names(providers: Sequence[str]) -> list[str]:
     """Full names of execution providers; case and the suffix "ExecutionProvider" are optional.
 
-    Raises:
-        InputError: If the installed onnxruntime lacks one; the message lists the available ones.
+    If the installed onnxruntime lacks one, raises InputError, which lists the available ones.
     """
     import onnxruntime
 

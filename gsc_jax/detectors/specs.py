@@ -79,12 +79,7 @@ class OnnxSpec:
 
     @classmethod
     def from_table(cls, table: Mapping[str, Any], *, where: str = "detector spec") -> Self:
-        """Create a spec from values by field name, such as a parsed TOML file.
-
-        Raises:
-            InputError: If a field is unknown or its value is invalid; the message begins with
-                `where`.
-        """
+        """Create a spec from values by field name; an invalid one raises InputError of `where`."""
         try:
             return cls(**table)
         except pydantic.ValidationError as error:
@@ -92,24 +87,18 @@ class OnnxSpec:
             raise InputError(one_line(error, where, table, known=known)) from error
 
 
-IMAGENET_MEAN = (0.485, 0.456, 0.406)
-IMAGENET_STD = (0.229, 0.224, 0.225)
+IMAGENET_STATISTICS: Any = {"mean": (0.485, 0.456, 0.406), "std": (0.229, 0.224, 0.225)}
 
 PLAIN = OnnxSpec()
 """RGB in [0, 1], resized to the input size of the model, and a probability map as output."""
 
 PRESETS = {
     # The network includes the sigmoid. Its loader pads before the normalisation.
-    "iml-vit": OnnxSpec(size=1024, fit="pad", mean=IMAGENET_MEAN, std=IMAGENET_STD),
+    "iml-vit": OnnxSpec(size=1024, fit="pad", **IMAGENET_STATISTICS),
     "trufor": OnnxSpec(fit="none", scale=255 / 256, activation="softmax", channel=1),
     # The inference code reads BGR, but applies the RGB statistics. Outputs: edges, map.
     "mvss-net": OnnxSpec(
-        size=512,
-        channels="bgr",
-        mean=IMAGENET_MEAN,
-        std=IMAGENET_STD,
-        output=1,
-        activation="sigmoid",
+        size=512, channels="bgr", **IMAGENET_STATISTICS, output=1, activation="sigmoid"
     ),
     # The localisation head includes the sigmoid.
     "pscc-net": OnnxSpec(fit="none"),
@@ -118,11 +107,7 @@ PRESETS = {
 
 
 def read_spec(path: str | Path) -> OnnxSpec:
-    """Read a spec from a TOML file; a field that the file omits has its default.
-
-    Raises:
-        InputError: If the file is missing, is not valid TOML or has invalid fields.
-    """
+    """Read a spec from a TOML file, whose fields are optional; an invalid one raises InputError."""
     path = existing_file(path, expected="a detector spec (.toml)")
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8"))

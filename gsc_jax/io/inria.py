@@ -11,8 +11,7 @@ import numpy as np
 import pydantic
 from pydantic import Field, FiniteFloat
 
-from gsc_jax.io.json_cameras import FocalLength, Pixels, Vector3, construct_cameras
-from gsc_jax.io.pinhole import pinhole
+from gsc_jax.io.json_cameras import FocalLength, Pixels, Vector3, construct_cameras, pinhole
 from gsc_jax.scene import Camera
 
 

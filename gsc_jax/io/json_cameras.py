@@ -1,10 +1,14 @@
-"""Lists of cameras in JSON files: field types, and errors that name file, camera and field."""
+"""Cameras in JSON files: field types, poses, and errors that name file, camera and field.
+
+A pose that contains a scale or a reflection renders a plausible but wrong image, so it is refused.
+"""
 
 import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import pydantic
 from pydantic import Field, FiniteFloat
 
@@ -15,6 +19,8 @@ Pixels = Annotated[int, Field(ge=1)]
 FocalLength = Annotated[FiniteFloat, Field(gt=0)]
 Vector3 = Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)]
 Vector4 = Annotated[list[FiniteFloat], Field(min_length=4, max_length=4)]
+ORTHONORMAL_TOLERANCE = 5e-3
+"""Largest accepted entry of |R^T R - I|: some files round rotations to three decimals."""
 
 
 def read_json(path: Path) -> Any:
@@ -44,3 +50,46 @@ def construct_cameras(
         except (OSError, ValueError) as error:
             raise InputError(f"{where}: {error}") from error
     return cameras
+
+
+def pinhole(
+    name: str,
+    camera_to_world: np.ndarray,
+    *,
+    focal: tuple[float, float],
+    center: tuple[float | None, float | None],
+    size: tuple[int, int],
+) -> Camera:
+    """Construct a camera, NumPy float32, from a pose with OpenCV axes, shape (3, 4) or (4, 4).
+
+    Focal lengths, principal point and size are in pixels, along x and y; a `center` of None is that
+    of the image. A pose that is not rigid raises ValueError.
+    """
+    rotation, position = camera_to_world[:3, :3], camera_to_world[:3, 3]
+    if problem := _rotation_problem(rotation):
+        raise ValueError(
+            f"the camera-to-world rotation {problem}, expected an orthonormal matrix of "
+            "determinant 1; export the poses again without it"
+        )
+    viewmat, K = np.eye(4), np.diag([*focal, 1.0])
+    viewmat[:3, :3] = rotation.T
+    viewmat[:3, 3] = -rotation.T @ position
+    K[:2, 2] = [n / 2 if x is None else x for x, n in zip(center, size, strict=True)]
+    return Camera(
+        viewmat=viewmat.astype(np.float32),
+        K=K.astype(np.float32),
+        width=size[0],
+        height=size[1],
+        name=name,
+    )
+
+
+def _rotation_problem(rotation: np.ndarray) -> str:
+    """Reason why a matrix is not a rotation; empty if it is one."""
+    gram = rotation.T @ rotation
+    scale = np.sqrt(np.trace(gram) / 3)
+    if np.abs(gram - scale**2 * np.eye(3)).max() > ORTHONORMAL_TOLERANCE * max(1.0, scale**2):
+        return "is skewed or scaled unevenly"
+    if abs(scale**2 - 1) > ORTHONORMAL_TOLERANCE:
+        return f"contains a scale of {scale:.4g}"
+    return "contains a reflection" if np.linalg.det(rotation) < 0 else ""

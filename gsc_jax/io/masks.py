@@ -46,7 +46,7 @@ def read_probability(path: str | Path, *, zero_one: bool | None = None) -> np.nd
     from skimage.util import img_as_float32
 
     grey = read_grey(path)
-    if grey.dtype == np.uint8 and (is_zero_one(grey) if zero_one is None else zero_one):
+    if grey.dtype == np.uint8 and (grey.max() <= 1 if zero_one is None else zero_one):
         grey = grey > 0
     return img_as_float32(grey)
 
@@ -65,11 +65,6 @@ def read_grey(path: str | Path) -> np.ndarray:
     return pixels if pixels.ndim == 2 else _grey(pixels, path)
 
 
-def is_zero_one(grey: np.ndarray) -> bool:
-    """Return whether an array holds 8-bit levels of which none exceeds 1."""
-    return grey.dtype == np.uint8 and grey.max() <= 1
-
-
 def write_probability(path: str | Path, probability: np.ndarray) -> None:
     """Write a probability map as 8-bit grey PNG.
 
@@ -84,7 +79,7 @@ def write_probability(path: str | Path, probability: np.ndarray) -> None:
             "expected finite values in [0, 1] of shape (height, width)"
         )
     levels = np.ceil(probability * 255 - 0.5).astype(np.uint8)
-    _write(path, np.zeros_like(levels) if is_zero_one(levels) else levels)
+    _write(path, levels * (levels.max() > 1))
 
 
 def write_mask(path: str | Path, mask: np.ndarray) -> None:

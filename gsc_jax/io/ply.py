@@ -135,10 +135,6 @@ def save_tampered(path: str | Path, scene: PlyScene, tamper: Array) -> None:
     Every row, property, element and comment is kept, in order and type; an existing property
     `tamper` is replaced. The output is binary little endian and may replace the file that was read.
     Scores have shape (N,); excluded rows get 0.
-
-    Raises:
-        InputError: If the file cannot be written.
-        ValueError: If there are not N scores.
     """
     _write(path, _with_tamper(scene.ply, scene.expand(np.asarray(tamper))))
 

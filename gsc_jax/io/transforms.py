@@ -15,8 +15,7 @@ import numpy as np
 import pydantic
 from pydantic import Field, FiniteFloat
 
-from gsc_jax.io.json_cameras import FocalLength, Pixels, Vector4, construct_cameras
-from gsc_jax.io.pinhole import pinhole
+from gsc_jax.io.json_cameras import FocalLength, Pixels, Vector4, construct_cameras, pinhole
 from gsc_jax.scene import Camera, InputError
 
 DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2", "is_fisheye")

@@ -31,12 +31,8 @@ def one_line(
         return f"{where}: unknown key {key!r}{_suggestion(str(first['loc'][-1]), list(known))}"
     name = f"{where}: {key}" if key else where
     if first["type"].startswith("missing"):
-        last = first["loc"][-1]
-        return (
-            f"{name}: expected more values, found {found!r}"
-            if isinstance(last, int)
-            else (f"{name}: {last!r} is missing")
-        )
+        last, short = first["loc"][-1], f"expected more values, found {found!r}"
+        return f"{name}: {short if isinstance(last, int) else f'{last!r} is missing'}"
     reasons = dict.fromkeys(
         _reason(problem["msg"]) for problem in problems if _located(problem["loc"], given)[0] == key
     )
@@ -56,9 +52,7 @@ def _located(location: Sequence[int | str], given: Any) -> tuple[str, Any]:
 
 def _reason(message: str) -> str:
     """A message of pydantic in the words of this package."""
-    for prefix in ("Value error, ", "Assertion failed, "):
-        message = message.removeprefix(prefix)
-    return message.replace("Input should be", "expected", 1)
+    return message.removeprefix("Value error, ").replace("Input should be", "expected", 1)
 
 
 def _suggestion(key: str, known: list[str]) -> str:

@@ -53,11 +53,6 @@ def test_scene_and_camera_transformed_together_give_the_same_image(motion):
     assert difference.max() < 0.02
 
 
-def test_scales_must_be_positive():
-    with pytest.raises(ValueError, match="scale must be positive"):
-        transformed(random_scene(3), np.eye(3), 0, np.zeros(3))
-
-
 def test_a_donor_gets_unit_quaternions_if_the_scene_has_them():
     scene = room()[0]
     length = np.linalg.norm(scene.quats, axis=1, keepdims=True)

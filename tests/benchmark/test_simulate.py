@@ -1,5 +1,3 @@
-import dataclasses
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -40,13 +38,6 @@ def test_outputs_are_probabilities(truth, failures, seed):
     probability = simulate(truth, np.roll(truth, 1, axis=2), seed=seed, failures=failures)
     assert probability.dtype == np.float32
     assert np.all((probability >= 0) & (probability <= 1))
-
-
-def test_every_regime_but_the_mixture_has_one_failure():
-    default = dataclasses.asdict(Failures())
-    for name, failures in REGIMES.items():
-        changed = [k for k, v in dataclasses.asdict(failures).items() if v != default[k]]
-        assert len(changed) == {"clean": 0, "mixture": 5}.get(name, 1)
 
 
 def test_misses_are_a_share_of_the_views_that_show_the_object():
@@ -101,23 +92,13 @@ def test_the_seed_determines_the_masks():
     assert not np.array_equal(one, other)
 
 
-def test_no_views_and_no_tampering_are_valid():
-    assert simulate(TRUTH[:0], DECOY[:0], seed=0, failures=REGIMES["mixture"]).shape == (0, 48, 64)
-    nothing = np.zeros_like(TRUTH)
-    assert not flagged(Failures(misses=0.5, boundary=4.0), truth=nothing).any()
-
-
 def test_invalid_arguments_are_refused():
     with pytest.raises(ValueError, match=r"shape \(V, H, W\), got \(48, 64\)"):
         simulate(TRUTH[0], seed=0, failures=Failures())
     with pytest.raises(ValueError, match="needs the masks of a decoy"):
         simulate(TRUTH, seed=0, failures=Failures(decoy=0.5))
-    with pytest.raises(ValueError, match="decoy has shape"):
-        simulate(TRUTH, DECOY[:3], seed=0, failures=Failures(decoy=0.5))
     with pytest.raises(ValueError, match=r"misses is a share of the views, got 1\.5"):
         Failures(misses=1.5)
-    with pytest.raises(ValueError, match="boundary must not be negative"):
-        Failures(boundary=-1)
 
 
 @pytest.mark.parametrize("seed", range(4))

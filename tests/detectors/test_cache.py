@@ -9,13 +9,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from onnx import helper
-from onnx_models import network
 from strategies import camera
 
 from gsc_jax.detectors.cache import CachedDetector
-from gsc_jax.detectors.onnx import OnnxDetector, OnnxSpec
-from gsc_jax.scene import InputError
 
 VIEW = camera()
 IMAGE = np.random.default_rng(0).uniform(size=(120, 100, 3)).astype(np.float32)
@@ -115,15 +111,6 @@ def test_damaged_entry_is_computed_again(tmp_path_factory, cut, at, byte):
     assert detector.calls <= 2, "the entry was not replaced"
 
 
-def test_missing_entry_is_computed_again(tmp_path):
-    detector = RedChannel()
-    cached = CachedDetector(detector, tmp_path, "key")
-    for _ in range(2):
-        cached(IMAGE, VIEW)
-        value_files(tmp_path)[0].unlink()
-    assert detector.calls == 2
-
-
 def test_pickles_are_never_loaded(tmp_path):
     with pytest.raises(SystemExit):
         pickle.loads(PICKLE)
@@ -156,16 +143,6 @@ def test_broken_cache_is_a_warning(tmp_path, broken):
     assert f"{folder}: the cache failed" in cached.warnings[-1]
 
 
-def test_error_of_the_detector_is_raised_and_not_cached(tmp_path):
-    class Broken(RedChannel):
-        def __call__(self, image, camera):
-            raise InputError(f"no map of {camera.name} {image.shape}")
-
-    with pytest.raises(InputError, match="no map"):
-        CachedDetector(Broken(), tmp_path, "key")(IMAGE, VIEW)
-    assert value_files(tmp_path) == []
-
-
 def test_least_recently_used_entries_are_evicted(tmp_path):
     images = np.random.default_rng(1).uniform(size=(30, 100, 100, 3)).astype(np.float32)
     detector = RedChannel()
@@ -181,17 +158,3 @@ def test_least_recently_used_entries_are_evicted(tmp_path):
     assert detector.calls == len(images), "the newest entry was evicted"
     cached(images[1], VIEW)
     assert detector.calls == len(images) + 1, "no entry was evicted"
-
-
-def test_network_keeps_its_warnings(tmp_path):
-    path = network(tmp_path, helper.make_node("Log", ["image"], ["map"]))
-    image = np.full((4, 4, 3), np.e, np.float32)
-    image[0] = -1
-    found = []
-    for _ in range(2):
-        detector = OnnxDetector(path, OnnxSpec(channel=0), threads=1)
-        assert detector.fingerprint != OnnxDetector(path, OnnxSpec(channel=1)).fingerprint
-        cached = CachedDetector(detector, tmp_path / "cache", detector.fingerprint)
-        found.append((cached(image, VIEW).tolist(), cached.warnings))
-    assert found[0] == found[1]
-    assert "4 outputs are not finite" in found[1][1][0]

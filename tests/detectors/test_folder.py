@@ -1,6 +1,5 @@
 """Masks in a folder are matched to cameras by name."""
 
-import json
 from pathlib import Path
 
 import imageio.v3 as iio
@@ -11,8 +10,6 @@ from onnx_models import view
 from gsc_jax.detectors.folder import FolderDetector
 from gsc_jax.io import masks
 from gsc_jax.scene import Camera, InputError
-
-TAMPERED = Path(__file__).parents[3] / "shared" / "data" / "tampered"
 
 
 def cameras(*names: str) -> list[Camera]:
@@ -141,18 +138,3 @@ def test_written_mask_is_read_for_its_camera(tmp_path, name):
     masks.write_mask(masks.image_path(tmp_path, name), np.ones((3, 2), bool))
     masks.write_mask(masks.image_path(tmp_path, "other/" + name), np.zeros((1, 1), bool))
     assert FolderDetector(tmp_path)(None, view(name)).shape == (3, 2)
-
-
-@pytest.mark.skipif(not TAMPERED.is_dir(), reason="the development scenes are not available")
-@pytest.mark.parametrize("scene", ["kitchen-incorporate", "playbot-remove"])
-def test_development_scenes_have_a_mask_per_camera(scene):
-    entries = json.loads((TAMPERED / scene / "cameras.json").read_text())
-    views = [view(entry["img_name"], entry["width"], entry["height"]) for entry in entries]
-    detector = FolderDetector(TAMPERED / scene / "detector")
-    assert detector.select(views) == views
-    assert detector.warnings == ()
-    found = [detector(None, camera) for camera in views[::6]]
-    for camera, mask in zip(views[::6], found, strict=True):
-        assert mask.shape == (camera.height, camera.width)
-        assert set(np.unique(mask)) <= {0.0, 1.0}
-    assert 0 < max(mask.mean() for mask in found) < 1, "all masks are constant"

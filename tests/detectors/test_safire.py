@@ -6,8 +6,7 @@ from onnx import TensorProto, helper
 from onnx_models import FLOAT, save, view
 from safire_models import CELLS, IMAGE, ODD, SIDE, decoder, detector, encoder
 
-from gsc_jax.detectors.preprocessing import to_tensor
-from gsc_jax.detectors.safire import SAM, SafireDetector
+from gsc_jax.detectors.safire import SafireDetector
 from gsc_jax.scene import InputError
 
 
@@ -51,16 +50,9 @@ def test_batch_size_does_not_change_the_map(tmp_path, prompts):
     np.testing.assert_allclose(fixed(IMAGE, view()), free(IMAGE, view()), atol=1e-6)
 
 
-@pytest.mark.parametrize("dtype", [TensorProto.INT32, TensorProto.INT64, TensorProto.FLOAT])
+@pytest.mark.parametrize("dtype", [TensorProto.INT32, TensorProto.INT64])
 def test_label_types(tmp_path, dtype):
     assert detector(tmp_path, label_dtype=dtype)(IMAGE, view())[12, 24] > 0.5
-
-
-def test_half_precision_encoder(tmp_path):
-    encoder(tmp_path, dtype=TensorProto.FLOAT16)
-    decoder(tmp_path)
-    found = SafireDetector(tmp_path, grid=8, threads=1)(IMAGE, view())
-    assert found[12, 24] > 0.5 > found[28, 4]
 
 
 def test_encoder_and_decoder_as_files(tmp_path):
@@ -74,11 +66,6 @@ def test_free_size_is_that_of_sam(tmp_path):
     encoder(tmp_path, shape=("N", 3, "H", "W"))
     decoder(tmp_path, mask_shape=(-1, 1, 256, 256), scale=1.0)
     assert SafireDetector(tmp_path, grid=2, threads=1)(IMAGE, view()).shape == (1024, 1024)
-
-
-def test_statistics_are_those_of_sam():
-    expected = (127.5 - np.array([123.675, 116.28, 103.53])) / [58.395, 57.12, 57.375]
-    np.testing.assert_allclose(to_tensor(IMAGE, SAM)[0, :, -1, 0], expected, rtol=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -100,15 +87,6 @@ def test_warnings_explain_views_without_a_region(tmp_path, options, image, anoma
     warnings = " ".join(network.warnings)
     for part in (words, "nothing flagged", "in 1 of 1 views", "'bad'", str(tmp_path)):
         assert part in warnings
-
-
-def test_warnings_count_each_view_once(tmp_path):
-    network = detector(tmp_path)
-    for name, image in (("a", IMAGE), ("b", IMAGE * 0), ("c", IMAGE * 0), ("c", IMAGE * 0)):
-        network(image, view(name))
-    (warning,) = network.warnings
-    assert "in 2 of 3 views" in warning
-    assert "'b'" in warning
 
 
 def test_fingerprint_depends_on_both_networks_and_the_options(tmp_path):
@@ -212,16 +190,9 @@ def test_unexpected_outputs_are_refused(tmp_path, capfd, options, reason):
     assert capfd.readouterr() == ("", ""), "onnxruntime prints the error as well"
 
 
-def test_exchanged_networks_are_refused(tmp_path):
-    with pytest.raises(InputError, match=r"3 inputs .*, expected 1"):
-        SafireDetector(decoder(tmp_path), encoder(tmp_path))
-
-
 def test_missing_files_are_named(tmp_path):
     with pytest.raises(InputError, match="is not a folder, expected a folder with encoder"):
         SafireDetector(tmp_path / "none")
-    with pytest.raises(InputError, match=r"holds no encoder\.onnx and no decoder\.onnx"):
-        SafireDetector(tmp_path)
     path = encoder(tmp_path)
     with pytest.raises(InputError, match=r"holds no decoder\.onnx, expected"):
         SafireDetector(tmp_path)
@@ -235,7 +206,3 @@ def test_invalid_arguments_are_refused(tmp_path):
     for grid in (1, 0, -1, 1.5):
         with pytest.raises(InputError, match="grid is"):
             SafireDetector(tmp_path, grid=grid)  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="no cameras"):
-        detector(tmp_path).select([])
-    with pytest.raises(ValueError, match="needs the rendered image"):
-        detector(tmp_path)(None, view())

@@ -31,25 +31,16 @@ def test_toml_table_is_a_spec():
     ("field", "value"),
     [
         ("size", 0),
-        ("size", "512"),
-        ("size", (512,)),
         ("size", True),
-        ("size", {"height": 3}),
         ("fit", "crop"),
-        ("multiple_of", 0),
         ("channels", "RGB"),
-        ("layout", "CHW"),
         ("scale", 0.0),
         ("scale", float("nan")),
         ("mean", (0.5, 0.5)),
-        ("mean", 0.5),
         ("input", 3),
-        ("input", ""),
         ("output", -1),
-        ("output", 1.5),
         ("activation", "relu"),
         ("channel", -1),
-        ("threshold", 0.0),
         ("threshold", 1),
     ],
 )
@@ -137,10 +128,3 @@ def test_documented_specs_and_presets_exist():
     resized = dataclasses.replace(PRESETS["trufor"], fit="resize", size=(480, 640))
     assert resized in [OnnxSpec.from_table(tomllib.loads(spec)) for spec in specs]
     assert set(re.findall(r"--detector \S+ --preset ([\w-]+)", PAGE)) == set(PRESETS)
-
-
-def test_documented_recipes_are_valid_python():
-    recipes = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
-    assert len(recipes) >= 7
-    for recipe in recipes:
-        compile(recipe, "docs/detectors.md", "exec")

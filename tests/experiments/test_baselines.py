@@ -16,7 +16,7 @@ from gsc_jax.benchmark.metrics import confusion, inverse_projection
 from gsc_jax.evidence.lifting import Evidence, view_evidence
 from gsc_jax.render.tiles import make_view
 from gsc_jax.splat import composite
-from gsc_jax.vote import Tally, no_votes, tally
+from gsc_jax.vote import Tally, tally
 
 VIEWS, COUNT = 5, 7
 RULES = inverse_projection, mode_vote, sagd_vote
@@ -64,11 +64,6 @@ def test_votes_by_hand(votes, expected):
     assert tuple(bool(labels[0]) for labels in found) == expected
 
 
-def test_without_views_nothing_is_labelled():
-    for rule in RULES:
-        assert rule(no_votes(3)).tolist() == [False] * 3
-
-
 @given(BALLOTS, ORDERS)
 def test_rules_are_nested_and_permutation_equivariant(votes, order):
     counts = tally(votes)
@@ -108,11 +103,6 @@ def test_complementing_the_masks_swaps_the_labels_of_flashsplat(evidence):
     np.testing.assert_array_equal(swapped, np.where(tie, False, ~labels))
 
 
-def test_flashsplat_never_labels_unseen_gaussians():
-    evidence = evidence_of([[0, 1]], [[0, 0.5]])
-    assert flashsplat(evidence, gamma=-0.8).tolist() == [False, True]
-
-
 def test_the_first_step_of_sa3d_is_the_learning_rate():
     # The sides meet at 0.3 / 1.3 = 23.08 %: 0.3 * 76 - 24 < 0 < 0.3 * 77 - 23. The last is unseen.
     evidence = evidence_of([[100, 100, 1e-4, 0]], [[24, 23, 1e-4, 0]])
@@ -121,17 +111,6 @@ def test_the_first_step_of_sa3d_is_the_learning_rate():
     np.testing.assert_allclose(score, [1, -1, 1, 0], rtol=1e-5)
     np.testing.assert_allclose(sa3d(evidence, passes=1, learning_rate=0.25), score / 4, rtol=1e-5)
     assert sa3d(evidence, passes=1, price=0.4)[0] < 0  # now 0.4 / 1.4 = 28.6 %
-
-
-# After a gradient g and then none, m = 0.09 g / (1 - 0.9^2) = 0.473684 g, and v =
-# 0.000999 g^2 / (1 - 0.999^2) = 0.499750 g^2: the second step is 0.473684 / 0.706930.
-MOMENTUM = 0.670058
-
-
-def test_momentum_moves_gaussians_that_a_later_view_does_not_see():
-    evidence = evidence_of([[5, 2], [0, 0]], [[5, 0], [0, 0]])
-    score = sa3d(evidence, passes=1)
-    np.testing.assert_allclose(score, [1 + MOMENTUM, -1 - MOMENTUM], rtol=1e-4)
 
 
 def test_the_second_pass_moves_only_positive_scores():
@@ -227,14 +206,6 @@ def test_an_empty_first_mask_makes_the_gate_reject_all_others():
     with_gate, without_gate = gated(masks * (np.arange(5) > 0)[:, None, None])
     assert not np.any(with_gate > 0)
     assert without_gate[1] > SA3D_LEVEL
-
-
-def test_more_views_of_as_many_gaussians_compile_nothing(count_compilations):
-    evidence = evidence_of(np.ones((2, 11)), np.ones((2, 11)))
-    sa3d(evidence)
-    with count_compilations() as compiled:
-        sa3d(jax.tree.map(lambda leaf: np.tile(leaf, (3, 1)), evidence), price=0.5)
-    assert not compiled
 
 
 def test_sa3d_of_sets_of_masks_equals_that_of_each_alone():

@@ -6,7 +6,6 @@ from difference import DifferenceDetector
 from distort import DISTORTIONS, Distorted, image_noise
 from strategies import blobs, camera
 
-from gsc_jax.evidence.detector import Detector
 from gsc_jax.splat import render
 
 CAMERA = camera(64, 48, focal=60.0)
@@ -68,21 +67,3 @@ def test_level_is_where_probability_passes_one_half(level):
     difference = np.abs(brighter.astype(np.float64) - original).mean(axis=-1)
     probability, clear = sharp(brighter, CAMERA), np.abs(difference - level) > 1e-6
     np.testing.assert_array_equal((probability > 0.5)[clear], (difference > level)[clear])
-
-
-def test_smoothing_ignores_single_pixels():
-    image = picture(AUTHENTIC)
-    image = image.copy()
-    image[10, 10] = 1 - image[10, 10].round()
-    assert DifferenceDetector(AUTHENTIC, smooth=0.0)(image, CAMERA)[10, 10] > 0.5
-    assert not (DETECTOR(image, CAMERA) > 0.5).any()
-
-
-def test_it_implements_the_detector_protocol():
-    detector: Detector = DETECTOR
-    assert detector.needs_image
-    assert detector.select([CAMERA, CAMERA]) == [CAMERA, CAMERA]
-    with pytest.raises(ValueError, match=r"expected an image \(48, 64, 3\), got \(48, 63, 3\)"):
-        detector(np.zeros((48, 63, 3)), CAMERA)
-    with pytest.raises(ValueError, match="got None"):
-        detector(None, CAMERA)

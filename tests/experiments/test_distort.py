@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from distort import (
     DISTORTIONS,
-    Distorted,
     image_blur,
     image_noise,
     opacity_noise,
@@ -13,9 +12,8 @@ from distort import (
 )
 from hypothesis import given
 from hypothesis import strategies as st
-from strategies import camera, floats, random_scene, scenes, with_row
+from strategies import camera, floats, random_scene, scenes
 
-from gsc_jax.evidence.detector import Detector
 from gsc_jax.scene import invalid_rows
 
 IMAGE = np.random.default_rng(0).random((40, 60, 3)).astype(np.float32)
@@ -69,13 +67,6 @@ def test_distorted_models_differ_in_one_field(scene, name, seed):
     assert not any(rows.any() for rows in invalid_rows(model).values())
 
 
-@given(scenes(), st.integers(0, 9))
-def test_no_noise_changes_nothing(scene, seed):
-    same = scale_noise(opacity_noise(scene, sigma=0.0, seed=seed), sigma=0.0, seed=seed)
-    np.testing.assert_array_equal(same.log_scales, scene.log_scales)
-    np.testing.assert_allclose(same.opacities, scene.opacities, atol=2e-6)
-
-
 def test_model_noise_has_its_strength():
     scene = random_scene(20_000)
     factors = np.log(scale_noise(scene, sigma=0.1, seed=0).scales / scene.scales)
@@ -99,11 +90,6 @@ def test_infinite_logits_become_finite_and_nan_stays():
     assert opacities[:, 0].max() > 0.999 > 0.001 > opacities[:, 1].min()
 
 
-def test_a_scale_of_0_stays_0():
-    scene = with_row(random_scene(3), "log_scales", -np.inf)
-    assert np.isneginf(scale_noise(scene, sigma=0.1, seed=0).log_scales[0]).all()
-
-
 def shown(name, *, seed=0):
     """The image that a detector gets under the noise of the table."""
     seen = []
@@ -120,30 +106,3 @@ def test_noise_depends_on_camera_and_seed():
     assert not np.array_equal(shown("a"), shown("b")), "two cameras share their noise"
     assert not np.array_equal(shown("a"), shown("a", seed=1))
     assert shown("left/img.0001 ü").shape == IMAGE.shape
-
-
-class OneCamera:
-    """A detector for one camera, with a warning."""
-
-    needs_image = True
-    warnings = ("a warning",)
-
-    def select(self, cameras):
-        return [camera for camera in cameras if camera.name == "a"]
-
-    def __call__(self, image, camera):
-        del camera
-        return np.full((2, 3), image.mean(), np.float32)
-
-
-def test_other_members_are_those_of_the_wrapped_detector():
-    wrapped: Detector = Distorted(OneCamera(), lambda image, **_: image * 0 + 0.25)
-    assert wrapped.needs_image
-    assert [c.name for c in wrapped.select([named("a"), named("b")])] == ["a"]
-    assert list(getattr(wrapped, "warnings", ())) == ["a warning"]
-    np.testing.assert_array_equal(wrapped(IMAGE, named("a")), np.full((2, 3), 0.25))
-    silent = Distorted(lambda image: image[..., 0], lambda image, **_: image)
-    assert list(silent.warnings) == []
-    np.testing.assert_array_equal(silent(IMAGE, CAMERA), IMAGE[..., 0])
-    with pytest.raises(ValueError, match="'a': there is no image to distort"):
-        wrapped(None, named("a"))

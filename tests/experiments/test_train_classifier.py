@@ -109,8 +109,3 @@ def test_whole_scenes_calibrate_only_folds_that_saw_no_part_of_them(monkeypatch)
     assert len(outputs["c"].raw) == len(outputs["c"].labels) <= train.SAMPLE
     assert 0 < outputs["c"].labels.mean() < 0.1
     assert outputs["c"].peak >= np.median(outputs["c"].raw)
-
-
-def test_every_kind_of_edit_has_the_same_weight():
-    weights = train.balanced_weights(["a", "b", "b", "b"])
-    np.testing.assert_allclose(weights, [1 / 2, 1 / 6, 1 / 6, 1 / 6])

@@ -43,15 +43,6 @@ def test_masks_survive_a_file(tmp_path, mask):
     np.testing.assert_array_equal(masks.read_probability(tmp_path / "m.png"), mask)
 
 
-def test_images_are_clipped(tmp_path):
-    rgb = np.zeros((2, 3, 3), np.float32)
-    rgb[0, 0] = (1.7, -0.3, 0.5)
-    masks.write_image(tmp_path / "i.png", rgb)
-    found = np.array(Image.open(tmp_path / "i.png"))
-    assert found.shape == (2, 3, 3)
-    np.testing.assert_allclose(found[0, 0], (255, 0, 127.5), atol=0.5)
-
-
 @pytest.mark.parametrize(
     "invalid",
     [np.full((2, 2), np.nan), np.full((2, 2), 1.5), np.full((2, 2), -0.1), np.zeros((2, 2, 1))],

@@ -8,7 +8,7 @@ import base64
 import dataclasses
 import io
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -44,17 +44,20 @@ def chart(
 
 def _data_uri(plot: "Callable[[Axes], object]", scheme: dict, size: tuple[float, float]) -> str:
     import matplotlib
-    from cycler import cycler
     from matplotlib.figure import Figure
 
-    ink = ("text.color", "axes.labelcolor", "xtick.labelcolor", "ytick.labelcolor")
-    muted = ("axes.edgecolor", "xtick.color", "ytick.color")
-    style: dict[Any, Any] = (
-        STYLE | dict.fromkeys(ink, scheme["ink"]) | dict.fromkeys(muted, scheme["muted"])
-    )
     file = io.BytesIO()
-    with matplotlib.rc_context(style | {"axes.prop_cycle": cycler(color=scheme["cycle"])}):
+    with matplotlib.rc_context(_style(**scheme)):
         figure = Figure(figsize=size, layout="constrained")
         plot(figure.subplots())
         figure.savefig(file, format="svg", transparent=True, metadata={"Date": None})
     return f"data:image/svg+xml;base64,{base64.b64encode(file.getvalue()).decode()}"
+
+
+def _style(ink: str, muted: str, cycle: list[str]) -> dict:
+    from cycler import cycler
+
+    text = ("text.color", "axes.labelcolor", "xtick.labelcolor", "ytick.labelcolor")
+    lines = ("axes.edgecolor", "xtick.color", "ytick.color")
+    style = STYLE | dict.fromkeys(text, ink) | dict.fromkeys(lines, muted)
+    return style | {"axes.prop_cycle": cycler(color=cycle)}

@@ -115,7 +115,6 @@ def test_page_opens_at_its_top_with_the_most_tampered_view(page: Browser):
     assert selected_name(page) == NAMES[6]
     assert page.find_element(By.ID, "place").text == "7 of 8"
     assert page.execute_script("return scrollY") == 0
-    assert page.find_element(By.ID, "layer-overlay").is_selected()
 
 
 def test_buttons_thumbnails_and_arrows_select_the_view(page: Browser):

@@ -17,15 +17,7 @@ from gsc_jax.cli.report.thumbnails import data_uri, thumbnail_side, url
 from gsc_jax.io.masks import write_mask, write_probability
 
 
-def is_file_name(name: str) -> bool:
-    try:
-        name.encode()
-    except UnicodeEncodeError:
-        return False
-    return "\0" not in name and name not in (".", "..")
-
-
-@given(st.text(min_size=1).filter(is_file_name))
+@given(st.text(st.characters(codec="utf-8", exclude_characters="\0"), min_size=1))
 def test_url_leads_to_its_file_for_any_name(name: str):
     path = Path("folder") / "render" / name.replace("/", "_")
     link = url(path, Path("folder"))
@@ -54,6 +46,6 @@ def test_thumbnail_keeps_shape_and_colours(tmp_path: Path):
         for name in ("wide.jpg", "high.png")
     ]
     np.testing.assert_allclose(pixels[0], np.full((45, 320, 3), (204, 51, 102)), atol=3)
-    assert pixels[1].shape == (320, 18)
+    assert pixels[1].shape[:2] == (320, 18)
     assert pixels[1][:150].min() > 250
     assert pixels[1][-150:].max() < 5

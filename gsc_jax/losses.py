@@ -36,7 +36,7 @@ def loss_2d(
 def loss_2d_from_evidence(
     r: Array, evidence: Evidence, *, lambda1: float = 1.0, lambda2: float = 10.0
 ) -> jax.Array:
-    """Compute `loss_2d` of an attribute r, shape (N,), from the evidence of a view, shapes (N,).
+    """Compute `loss_2d` (eq. 10) of an attribute r, (N,), from the evidence of a view, (N,) each.
 
     The loss is linear in r, and the evidence gives its coefficients, so nothing is rendered.
     """
@@ -71,13 +71,15 @@ def partition(r: Array) -> Partition:
 def sim(attributes: Array, mean: Array) -> jax.Array:
     """Compute sim_i = ||F_i - mean||^2 (GS-Checker, eq. 7), which is small for similar attributes.
 
+    This is the definition; the loss uses `sim_difference`, which tests compare with it.
+
     The attributes F have shape (A, N), the mean over a group, F^h or F^l, has shape (A,).
     """
     return jnp.sum(jnp.square(attributes - mean[:, None]), axis=0)
 
 
 def sim_difference(attributes: Array, mean_h: Array, mean_l: Array) -> list[jax.Array]:
-    """Compute the terms of sim^l - sim^h (GS-Checker, eq. 8), one per attribute, shapes (N,).
+    """Compute the terms of sim^l - sim^h (GS-Checker, eq. 7 and 8), one per attribute, (N,) each.
 
     (F - l)^2 - (F - h)^2 is factored into 2 (F - (h + l) / 2) (h - l), which does not square large
     attributes; a test compares the sum of the terms with `sim`.

@@ -69,8 +69,8 @@ class Locate(SceneOptions):
             over several epochs.
         all_views: Run the --detector on the views of all cameras. Otherwise `robust` stops when
             further views no longer change the labels, unless --views gives a number.
-        lambda2: For official and paper: price of the weight of a Gaussian outside the masks. At
-            price 10, 91 % of the weight has to lie inside them, at 1 half of it.
+        lambda2: For official and paper: weight lambda2 (eq. 10) of a Gaussian outside the masks.
+            With 10, 91 % of its blending weight has to lie inside them, at 1 half of it.
         epochs: For official and paper: how often the optimisation visits each view.
         threshold: Score above which a Gaussian is labelled as tampered: a probability for `robust`,
             a score relative to the maximum for GS-Checker.

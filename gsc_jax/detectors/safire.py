@@ -117,7 +117,9 @@ class SafireDetector(NetworkDetector):
         for start in range(0, len(points), self._batch):
             # Repeats of the last point fill the last batch, since the batch size may be fixed.
             rows = np.arange(start, start + self._batch).clip(max=len(points) - 1)
-            some_masks, trust = self._decoder.run(embeddings, points[rows, None], labels, view=view)
+            some_masks, confidence = self._decoder.run(
+                embeddings, points[rows, None], labels, view=view
+            )
             if np.any(np.remainder(some_masks.shape[2:], embeddings.shape[2:])):
                 raise InputError(
                     f"{self.decoder}: gives masks {shape_text(some_masks.shape)} of embeddings "
@@ -125,7 +127,7 @@ class SafireDetector(NetworkDetector):
                     "export the decoder with its own low resolution"
                 )
             masks.append(some_masks[:, 0])
-            confidences.append(trust[:, 0])
+            confidences.append(confidence[:, 0])
         return np.concatenate(masks)[: len(points)], np.concatenate(confidences)[: len(points)]
 
 

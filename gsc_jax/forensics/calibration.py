@@ -1,7 +1,7 @@
 """Calibration: log odds of Gaussians and scenes, and the log odds above which they are labelled.
 
 Calibrated probabilities are mostly small, since many scenes are misclassified. Given that a scene
-was edited, the tampered Gaussians are those that stand out, so the level is chosen per scene.
+was edited, the tampered Gaussians are those that differ most, so the level is chosen per scene.
 """
 
 import dataclasses
@@ -22,15 +22,15 @@ PART = 64
 # Levels of labelling, from base rate (0) to peak (1). Chosen by F1 on the development scenes,
 # seeds 10 and 11.
 UNSURE_LEVEL = 0.3
-"""Level if the classifier is not sure of an edit."""
+"""Level if the scene probability of the classifier is below `SURE_PROBABILITY`."""
 SURE_PROBABILITY = 0.65
-"""Scene probability of the classifier from which it counts as sure."""
+"""Scene probability from which the level is the largest gap instead."""
 GAP_RANGE, GAP_HALF_WIDTH = (0.05, 0.5), 0.1
-"""Range of levels searched for a gap if it is sure, and half the width of a gap."""
+"""Range of levels searched for a gap, and half the width of a gap."""
 MIN_TRACED_SHARE = 0.1
 """Share of the Gaussians above the level that traces must mark to count as identifying the edit."""
 LEVEL_BESIDE_TRACES = 1.0
-"""Log odds that the other Gaussians then need."""
+"""Log odds from which Gaussians without a trace are labelled beside traces."""
 NEGLIGIBLE_COUNT = 20
 """Number of Gaussians above a level that does not matter."""
 

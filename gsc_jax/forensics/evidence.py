@@ -161,4 +161,6 @@ def _warnings(evidence: ForensicEvidence, labels: np.ndarray) -> list[str]:
         return ["The attributes of the Gaussians show no evidence of an edit."]
     if evidence.verdict >= 0.5:
         return []
-    return ["The labels mark what stands out most, but the scene is probably authentic."]
+    return [
+        "The labelled Gaussians differ most from the rest, but the scene is probably authentic."
+    ]

@@ -29,11 +29,11 @@ def row_order(gaussians: Gaussians, neighbours: np.ndarray | None = None) -> Tra
     score = np.zeros(len(gaussians), np.float32)
     score[appended_rows(gaussians)] = BLOCK_SCORE
     found = "follow each other in the file and differ from all other rows"
-    return make_trace("row-order", score, found, "No block of rows stands out.")
+    return make_trace("row-order", score, found, "No block of rows differs from the others.")
 
 
 def appended_rows(gaussians: Gaussians) -> slice:
-    """Rows of the block that stands out, to within a piece; an empty slice if none does."""
+    """Rows of the block that differs from the others, to within a piece; empty if none does."""
     pieces = min(PIECES, len(gaussians) // MIN_PIECE_ROWS)
     if pieces < 16:  # too few to estimate the usual deviation
         return slice(0)

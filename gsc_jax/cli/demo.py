@@ -2,7 +2,8 @@
 
 All input and output goes through files and through the code of `gsc-jax locate`. The simulated
 detector has all failures at once (`mixture`): single masks are then of little use. The masks are
-scored on views that no method was given.
+scored on held-out views. The scene before the edit is located as well, to compare the scene
+probabilities.
 """
 
 import dataclasses
@@ -76,10 +77,15 @@ def run_demo(
         InputError: if the folder cannot be written to.
     """
     monitor = monitor or Monitor()
-    case = _simulated(made or tampered_room(seed=options.seed), options.seed, monitor)
+    made = made or tampered_room(seed=options.seed)
+    decoy = decoy_labels(made.gaussians, made.labels, seed=options.seed)
+    case = _simulated(made, decoy, options.seed, monitor)
     given = options.out / "input"
     _write_input(given, case)
-    results = {name: _locate(given, options, name, monitor) for name in RUNS}
+    results = {
+        name: _locate(given, options.out / name, name, options.seed, monitor) for name in RUNS
+    }
+    authentic = _locate_authentic(made, decoy, options, monitor)
     found = {name: _heldout_masks(case.made, result) for name, result in results.items()}
     _write_picture(options.out / "heldout.png", case, found)
     return [
@@ -89,6 +95,8 @@ def run_demo(
         "",
         *EXPLANATION.splitlines(),
         "",
+        *_probability_table(results, authentic),
+        "",
         f"images   {options.out / 'heldout.png'}: the truth beside the masks of each method",
         *(f"report   {options.out / name / 'report.html'}" for name in RUNS),
         f"again    {sys.argv[0]} locate {given / 'scene.ply'} --cameras {given / 'cameras.json'} "
@@ -96,9 +104,8 @@ def run_demo(
     ]
 
 
-def _simulated(made: MadeScene, seed: int, monitor: Monitor) -> Case:
-    """Render the truth, and simulate the detector on it."""
-    decoy = decoy_labels(made.gaussians, made.labels, seed=seed)
+def _simulated(made: MadeScene, decoy: np.ndarray, seed: int, monitor: Monitor) -> Case:
+    """Render the truth, and simulate the detector on it; it may flag the decoy Gaussians, (N,)."""
     cameras = [*made.cameras, *made.heldout_cameras]
     truth, decoys = [], []
     for done, camera in enumerate(cameras, start=1):
@@ -124,14 +131,30 @@ def _write_input(folder: Path, case: Case) -> None:
     write_views(folder / "truth", case.truth, write_mask)
 
 
-def _locate(given: Path, options: Demo, name: str, monitor: Monitor) -> Result:
+def _locate_authentic(
+    made: MadeScene, decoy: np.ndarray, options: Demo, monitor: Monitor
+) -> dict[str, Result]:
+    """Locate in the scene before the edit, with the methods that give a scene probability."""
+    rows = np.flatnonzero(~made.labels)
+    room = dataclasses.replace(
+        made, gaussians=made.gaussians.take(rows), labels=np.zeros(len(rows), bool)
+    )
+    given = options.out / "input" / "authentic"
+    _write_input(given, _simulated(room, decoy[rows], options.seed, monitor))
+    return {
+        name: _locate(given, options.out / f"authentic-{name}", name, options.seed, monitor)
+        for name in (ATTRIBUTES_ONLY, "robust")
+    }
+
+
+def _locate(given: Path, out: Path, name: str, seed: int, monitor: Monitor) -> Result:
     command = Locate(
         scene=given / "scene.ply",
         cameras=given / "cameras.json",
         masks=None if name == ATTRIBUTES_ONLY else given / "masks",
-        out=options.out / name,
+        out=out,
         method=RUNS[name],
-        seed=options.seed,
+        seed=seed,
     )
     return run_locate(command, monitor=Monitor(progress=monitor.progress)).result
 
@@ -176,6 +199,16 @@ def _score_table(
         means = case.scores(masks, case.made.heldout_cameras)
         cells += [f"{means.f1:.3f}", f"{means.iou:.3f}"]
         lines.append(f"{method:20}" + "".join(f"{cell:>11}" for cell in cells))
+    return lines
+
+
+def _probability_table(results: Mapping[str, Result], authentic: Mapping[str, Result]) -> list[str]:
+    """Scene probabilities after and before the edit, and the number of labels before it."""
+    lines = [f"{'scene probability':20}{'edited':>11}{'authentic':>11}{'found then':>13}"]
+    for name, before in authentic.items():
+        after = results[name].verdict or 0.0
+        cells = f"{after:11.0%}{before.verdict or 0.0:11.0%}{before.labels.sum():13,}"
+        lines.append(f"{name:20}{cells}")
     return lines
 
 

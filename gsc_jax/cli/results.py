@@ -10,15 +10,41 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import BaseModel, ValidationError
 
 from gsc_jax.io.cameras import load_cameras
 from gsc_jax.io.files import existing_file
 from gsc_jax.io.ply import read_ply
+from gsc_jax.io.validation import one_line
 from gsc_jax.scene import Camera, Gaussians, InputError
 
 AGAIN = "run gsc-jax locate again"
-KEYS = {"config", "counts", "per_view", "tampered_share_of_views"}
-"""Keys of result.json that are read again."""
+
+
+class _View(BaseModel):
+    name: str
+    width: int
+    height: int
+
+
+class _Config(BaseModel):
+    threshold: float
+    near: float
+
+
+class _Counts(BaseModel):
+    gaussians: int
+    tampered: int
+
+
+class _Report(BaseModel):
+    """The entries of result.json that are read again; it has others, too."""
+
+    config: _Config
+    counts: _Counts
+    per_view: list[_View]
+    tampered_share_of_views: float
+    verdict: float | None = None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -110,10 +136,10 @@ def _read_report(folder: Path) -> dict[str, Any]:
         raise InputError(f"{folder}: {found} (result.json); give the --out of a run")
     try:
         report = json.loads(path.read_text(encoding="utf-8"))
-        missing = KEYS.difference(report)
-    except (OSError, ValueError, TypeError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"{path}: damaged ({error}); {AGAIN}") from error
-    if missing:
-        names = ", ".join(sorted(missing))
-        raise InputError(f"{path}: {names} missing, the version is another one; {AGAIN}")
+    try:
+        _Report.model_validate(report)
+    except ValidationError as error:
+        raise InputError(f"{one_line(error, str(path), report)}; {AGAIN}") from error
     return report

@@ -26,7 +26,10 @@ def main() -> int:
 
     stop.imported = True
     try:
-        return run()
+        code = run()
+        if stop.number == signal.SIGTERM:  # `view` ends normally when it is interrupted
+            _leave(stop.number)
+        return code
     except BaseException:  # libraries may turn the KeyboardInterrupt into any other error
         if stop.number:
             _leave(stop.number)

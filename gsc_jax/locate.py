@@ -27,10 +27,10 @@ from gsc_jax.estimators.robust.early_stopping import EarlyStopping, observe_unti
 from gsc_jax.evidence.detector import Detector, as_detector
 from gsc_jax.evidence.masks import view_mask
 from gsc_jax.evidence.monitor import Monitor
-from gsc_jax.evidence.observation import observe
+from gsc_jax.evidence.observation import check_cameras, observe
 from gsc_jax.forensics.evidence import ForensicEvidence, estimate_from_attributes, forensic_evidence
 from gsc_jax.render.visibility import check_views
-from gsc_jax.scene import Camera, Gaussians, InputError, invalid_rows
+from gsc_jax.scene import Camera, Gaussians, invalid_rows
 from gsc_jax.scene.parallel import WORKERS, bounded_map
 
 MIN_CONFIRMED = 0.1
@@ -58,7 +58,7 @@ class Result:
         estimator: The estimator with its configuration.
         stages: Seconds and peak memory in MiB by stage. Stages overlap where views are processed
             in threads.
-        seconds: Wall time.
+        seconds: Wall time since the monitor was made.
         warnings: Sentences for the user.
     """
 
@@ -118,7 +118,7 @@ def locate(
     """
     estimator, monitor = configured(method, config), monitor or Monitor()
     warnings = [*check_views(gaussians, cameras, near=estimator.near), *_unusable(gaussians)]
-    _check_names(cameras)
+    check_cameras(cameras)
     gaussians = jax.tree.map(jnp.asarray, gaussians)
     known = _prior(gaussians, estimator, prior, monitor)  # attributes -> prior
     if detector is None:  # prior -> decide
@@ -221,8 +221,8 @@ def _from_attributes(estimator: Estimator, prior: Prior | None, monitor: Monitor
     """Estimate from the attributes of the Gaussians alone."""
     if not (estimator.uses_prior and isinstance(prior, ForensicEvidence)):
         raise ValueError(
-            f"{estimator.name} needs a detector; give one, or use method robust with prior=True to "
-            "decide by the attributes of the Gaussians"
+            f"{estimator.name} needs a detector; without one, use method robust with prior=True or "
+            "with a ForensicEvidence"
         )
     with monitor.stage("optimise"):
         finding = estimate_from_attributes(
@@ -276,15 +276,6 @@ def _unusable(gaussians: Gaussians) -> list[str]:
         f"{count:,} of {len(gaussians):,} Gaussians have invalid values ({counted}) and are "
         "ignored; `load_ply` leaves them out."
     ]
-
-
-def _check_names(cameras: Sequence[Camera]) -> None:
-    names = [camera.name for camera in cameras]
-    duplicates = sorted({name for name in names if names.count(name) > 1})
-    if duplicates:
-        raise InputError(
-            f"Two cameras have the name {duplicates[0]!r}; masks are stored by camera name."
-        )
 
 
 def _without_mask(cameras: Sequence[Camera], chosen: Sequence[Camera]) -> list[str]:

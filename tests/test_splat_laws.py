@@ -38,6 +38,7 @@ def weights_of(gaussians, view=VIEW, **options) -> np.ndarray:
 def test_weights_are_nonnegative_and_sum_to_alpha_below_1(gaussians):
     weights = weights_of(gaussians)
     alpha = weights.sum(axis=-1)
+    np.testing.assert_allclose(alpha, gsc_jax.render(gaussians, VIEW)[1], atol=1e-5)
     assert weights.min() >= 0
     assert weights.max() <= 0.99 * (1 + 1e-6)
     assert alpha.max() <= 1 - 1e-4 + ROUNDING

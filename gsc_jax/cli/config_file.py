@@ -141,7 +141,7 @@ def _validated(
 def _method(path: Path, command: Table, config: Mapping[str, Any]) -> Method:
     """The method of a file, which both of its tables may name."""
     name = config.get("name")
-    if name is not None and name not in METHODS:
+    if name is not None and name not in list(METHODS):
         raise InputError(f"{path}: config.name: expected {', '.join(METHODS)}, found {name!r}")
     method = command.get("method", name or "robust")
     if name not in (None, method):

@@ -1,7 +1,6 @@
 """Estimator and detectors of a run of `locate`, from its options."""
 
 import dataclasses
-import math
 from pathlib import Path
 from typing import Any
 
@@ -37,8 +36,6 @@ def configured_estimator(options: Locate) -> Estimator:
             changes[name] = getattr(options, name)
     loop = getattr(base, "loop", None)
     if loop is not None and "lambda2" in changes:
-        if not 0 <= changes["lambda2"] < math.inf:
-            raise InputError(f"--lambda2 {options.lambda2:g}: expected 0 or more")
         changes["loop"] = dataclasses.replace(loop, lambda2=changes.pop("lambda2"))
     for name in changes.keys() - {field.name for field in dataclasses.fields(base)}:
         raise InputError(f"--{name}: does not apply to --method {options.method}")
@@ -118,7 +115,7 @@ def _open_network(path: Path, options: Locate) -> Detector:
         model = OnnxDetector(path, _spec(options), **runtime)
     if options.no_cache:
         return model
-    return CachedDetector(model, cache_folder() / "detections", model.fingerprint)
+    return CachedDetector(model, cache_folder() / "probability-maps", model.fingerprint)
 
 
 def _spec(options: Locate) -> OnnxSpec:

@@ -72,10 +72,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     if argv == ["--version"]:
         print(f"gsc-jax {importlib.metadata.version('gsc_jax')}")
         return 0
+    command = None
     try:
-        _run(parse(argv))
+        command = parse(argv)
+        _run(command)
     except InputError as error:
-        return _refuse(str(error))
+        return _refuse(f"{error}{_origin(command, argv, str(error))}")
     except BrokenPipeError:  # the reader of stdout, such as `head`, has closed it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except OSError as error:
@@ -165,6 +167,16 @@ def _sentences(raised: Sequence[warnings.WarningMessage]) -> Iterator[str]:
         own = path.is_relative_to(Path(gsc_jax.__file__).parent)
         origin = f" ({warning.category.__name__} in {path.name}, line {warning.lineno})"
         yield text if own and warning.category is UserWarning else text + origin
+
+
+def _origin(command: Command | None, argv: Sequence[str], error: str) -> str:
+    """Note that the path in an error comes from the file of --config, if it was not typed."""
+    if not isinstance(command, Locate) or command.config is None:
+        return ""
+    paths = {command.scene, command.cameras, command.masks, command.spec, *command.detector}
+    if not any(error.startswith(str(path)) for path in paths if path and str(path) not in argv):
+        return ""
+    return f" (given in {command.config}, whose paths are relative to the current folder)"
 
 
 def _refuse(message: str) -> int:

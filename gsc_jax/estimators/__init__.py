@@ -46,11 +46,13 @@ def configured(method: str, config: Estimator | None = None) -> Estimator:
             `dataclasses.replace(METHODS["paper"], epochs=1)`.
 
     Raises:
-        ValueError: if there is no such method.
+        ValueError: if there is no such method, or the configuration is no estimator.
     """
     if method not in METHODS:
         raise ValueError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
-    return METHODS[method] if config is None else config
+    if config is not None and not hasattr(config, "estimate"):
+        raise ValueError(f"config must be an estimator, got {type(config).__name__}")
+    return config or METHODS[method]
 
 
 def estimate(

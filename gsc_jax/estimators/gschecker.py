@@ -7,6 +7,7 @@ threshold.
 """
 
 import dataclasses
+import math
 import typing
 from typing import Literal
 
@@ -74,11 +75,17 @@ class GSChecker(Estimator):
             if getattr(self, option) not in known:
                 found = getattr(self, option)
                 raise ValueError(f"{option} must be one of {', '.join(known)}, got {found!r}")
-        if not (self.epochs >= 1 and 0 <= self.threshold < 1 and self.near > 0):
-            raise ValueError(
-                "expected epochs >= 1, 0 <= threshold < 1 and near > 0, got "
-                f"{self.epochs}, {self.threshold} and {self.near}"
-            )
+        for name, valid, expected in (
+            ("epochs", self.epochs >= 1, "at least 1"),
+            ("threshold", 0 <= self.threshold < 1, "in [0, 1)"),
+            ("near", 0 < self.near < math.inf, "above 0"),
+        ):
+            if not valid:
+                raise ValueError(f"{name} must be {expected}, got {getattr(self, name)}")
+        # Not in `LoopConfig`, whose fields may be traced.
+        for name in ("lambda1", "lambda2", "beta", "gamma", "learning_rate"):
+            if not 0 <= (value := getattr(self.loop, name)) < math.inf:
+                raise ValueError(f"{name} must be 0 or more, got {value}")
 
     def for_views(self, views: int) -> "GSChecker":
         """Fill in the iteration at which the 3D loss joins."""

@@ -41,7 +41,11 @@ class Prior:
     exact: bool = False
 
     def __post_init__(self) -> None:
-        """Check ranges and shapes: one NaN would spread to every Gaussian."""
+        """Check types, ranges and shapes: one NaN would spread to every Gaussian."""
+        for name in ("probability", "known"):
+            if not isinstance(getattr(self, name), np.ndarray):
+                found = type(getattr(self, name)).__name__
+                raise ValueError(f"{name} must be a NumPy array, got {found}")
         if not 0 <= self.verdict <= 1:
             raise ValueError(f"verdict must be in [0, 1], got {self.verdict}")
         within = (self.probability >= 0) & (self.probability <= 1)

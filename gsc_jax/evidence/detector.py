@@ -105,13 +105,24 @@ class _MappingDetector:
 
     def __call__(self, image: np.ndarray | None, camera: Camera) -> np.ndarray:
         del image
+        if camera.name not in self.maps:
+            raise InputError(f"Camera {camera.name!r} has no mask; leave it out, or give one.")
         return self.maps[camera.name]
 
 
 def as_detector(detector: Any) -> Detector:
-    """Wrap a function of the image, or a mapping of probability maps, as a detector."""
+    """Wrap a function of the image, or a mapping of probability maps, as a detector.
+
+    Raises:
+        ValueError: if it is neither, nor a detector.
+    """
     if hasattr(detector, "select"):
         return detector
     if isinstance(detector, Mapping):
         return _MappingDetector(detector)
+    if not callable(detector):
+        raise ValueError(
+            "detector must be a detector, a function of the image, or probability maps by camera "
+            f"name, got {type(detector).__name__}"
+        )
     return _FunctionDetector(detector)

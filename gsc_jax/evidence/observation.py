@@ -20,7 +20,7 @@ from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.evidence.storage import blank_evidence
 from gsc_jax.render.projection import NEAR, project, project_centers
 from gsc_jax.render.tiles import View, bin_view
-from gsc_jax.scene import Camera, Gaussians
+from gsc_jax.scene import Camera, Gaussians, InputError
 from gsc_jax.scene.parallel import WORKERS, bounded_map
 from gsc_jax.splat import render_view
 from gsc_jax.vote import Tally, cast_votes, no_votes, tally
@@ -68,10 +68,14 @@ def observe(
 
     Returns:
         The observation, with views in the order of the cameras.
+
+    Raises:
+        InputError: if there is no camera, two have one name, or the detector has no output for one.
+        ValueError: if the detector is none.
     """
+    check_cameras(cameras)
     monitor, detector = monitor or Monitor(), as_detector(detector)
-    if evidence is None:
-        evidence = blank_evidence(len(cameras), len(gaussians))
+    evidence = evidence or blank_evidence(len(cameras), len(gaussians))
     masks, probabilities = {}, {}
 
     prepare = functools.partial(_prepare, gaussians, detector.needs_image, near, monitor)
@@ -123,6 +127,18 @@ def _prepare(
         return view, None
     with monitor.stage("render"):
         return view, np.asarray(render_view(view, gaussians, camera)[0])
+
+
+def check_cameras(cameras: Sequence[Camera]) -> None:
+    """Raise an InputError if there is no camera, or two have one name."""
+    names = [camera.name for camera in cameras]
+    if not names:
+        raise InputError("no cameras: expected at least one view of the scene")
+    duplicates = sorted({name for name in names if names.count(name) > 1})
+    if duplicates:
+        raise InputError(
+            f"Two cameras have the name {duplicates[0]!r}; masks are stored by camera name."
+        )
 
 
 def votes_of_view(gaussians: Gaussians, camera: Camera, mask: np.ndarray) -> Tally:

@@ -149,6 +149,8 @@ def test_a_prior_weight_of_zero_disables_the_attributes(case, tmp_path):
         ("[config]\nclasses = ['a']", ("config: classes[0]:", "integer")),
         ("[config.loop]\nlambda1 = 3", ("unknown key 'loop'", "the method robust")),
         ("[command]\nmethod = 'paper'\n[config.loop]\nlamda1 = 3", ("'loop.lamda1'",)),
+        ("[command]\nmethod = 'paper'\n[config.loop]\nlambda2 = -3.0", ("lambda2 must be",)),
+        ("[config]\nname = ['a']", ("config.name:", "['a']")),
         ("[config]\nname = 'mine'", ("config.name:", "robust, official, paper", "'mine'")),
         ("[command]\nmethod = 'paper'\n[config]\nname = 'robust'", ("paper", "robust")),
         ("[command]\nseed = 1\n[config]\nseed = 2", ("1 in command", "2 in config")),

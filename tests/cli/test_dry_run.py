@@ -39,7 +39,7 @@ def test_a_network_is_loaded_but_not_run(case, tmp_path, own_cache):
     model = network(tmp_path / "red.onnx")
     answer = run(*given(case, masks=None, detector=model), "--out", tmp_path / "o", "--dry-run")
     assert f"{model} on up to 3 views" in answer.out
-    assert not (own_cache / "detections").exists()
+    assert not (own_cache / "probability-maps").exists()
 
 
 @pytest.mark.parametrize(

@@ -77,7 +77,7 @@ def test_the_attributes_alone(case, tmp_path):
         ({"scene": "missing.ply"}, ("missing.ply: no such file",)),
         ({"views": 0}, ("--views 0",)),
         ({"epochs": 3}, ("--epochs", "robust")),
-        ({"lambda2": -1, "method": "paper"}, ("--lambda2 -1",)),
+        ({"lambda2": -1, "method": "paper"}, ("lambda2 must be",)),
         ({"threshold": 3}, ("threshold", "3")),
         ({"scale": "nan"}, ("--scale nan",)),
         ({"scale": 1000}, ("--scale 1000", "pixels")),

@@ -120,6 +120,8 @@ def _check_address(host: str, port: int) -> None:
 
 def _address_line(options: View, port: int) -> str:
     note = f" (port {options.port} is taken)" if options.port not in (0, port) else ""
+    if options.host in ALL_ADDRESSES:
+        note += f", from other machines http://{socket.gethostname()}:{port}"
     return f"view     {_url(options.host, port)}{note}"
 
 

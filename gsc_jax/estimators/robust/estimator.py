@@ -105,9 +105,8 @@ class RobustEstimator(Estimator):
             raise ValueError(f"classes must be a tuple of integers >= 2, got {self.classes}")
         for name, (least, most) in RANGES.items():
             if not least <= getattr(self, name) <= most:
-                raise ValueError(
-                    f"{name} must be in [{least:g}, {most:g}], got {getattr(self, name)}"
-                )
+                bound = f"in [{least:g}, {most:g}{')' if most < 1 else ']'}"
+                raise ValueError(f"{name} must be {bound}, got {getattr(self, name)}")
 
     @property
     def uses_prior(self) -> bool:

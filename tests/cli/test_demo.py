@@ -97,7 +97,6 @@ def test_the_scene_before_the_edit_is_located_too(finished, method):
     out, lines = finished
     labels = np.load(out / "input" / "authentic" / "labels.npy")
     assert len(labels) == COUNT - np.load(out / "input" / "labels.npy").sum()
-    assert not labels.any()
     result = json.loads((out / f"authentic-{method}" / "result.json").read_text())
     assert result["counts"]["rows"] == len(labels)
     (row,) = [line for line in lines if line.startswith(f"{method}  ") and "%" in line]

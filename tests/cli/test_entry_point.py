@@ -103,7 +103,7 @@ def test_while_a_network_runs(case, tmp_path, monkeypatch):
     before = contents(out)
     argv = [*given(case, masks=None, detector=model), "--out", out]
     with started(cache, *argv) as process:
-        interrupt(process, lambda: list(cache.rglob("detections/*")) and list(out.glob(".*")))
+        interrupt(process, lambda: list(cache.rglob("probability-maps/*")) and list(out.glob(".*")))
     assert contents(out).keys() >= before.keys()
     assert {name: contents(out)[name] for name in before} == before
     judged = record_network_views(monkeypatch)

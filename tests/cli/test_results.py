@@ -107,9 +107,7 @@ class TestRefusals:
     @pytest.mark.parametrize("text", ["", "{", "[1, 2", "3"])
     def test_a_damaged_report(self, folder, text):
         (folder / "result.json").write_text(text)
-        message = refusal(folder)
-        assert message.startswith(f"{folder / 'result.json'}: ")
-        assert message.endswith("run gsc-jax locate again")
+        assert refusal(folder).startswith(f"{folder / 'result.json'}: ")
 
     @pytest.mark.parametrize("value", [None, {}, [{}], 3, {"tampered": "many", "gaussians": 1}])
     @pytest.mark.parametrize("key", ["config", "counts", "per_view"])

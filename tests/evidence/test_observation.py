@@ -29,12 +29,3 @@ def test_unusable_input_is_one_clear_error(cameras, detector, message):
 def test_a_detector_that_cannot_be_called_is_an_error():
     with pytest.raises(ValueError, match="got int"):
         observe(SCENE, [CAMERA], 3)  # type: ignore[arg-type]
-
-
-def test_views_are_in_the_order_of_the_cameras():
-    cameras = [dataclasses.replace(CAMERA, name=name) for name in "ba"]
-    masks = {"a": np.ones((12, 16)), "b": MASK}
-    observation = observe(SCENE, cameras, masks)
-    assert [camera.name for camera in observation.cameras] == ["b", "a"]
-    assert not np.any(observation.evidence.tampered[0])
-    assert np.array_equal(observation.evidence.tampered[1], observation.evidence.total[1])

@@ -248,7 +248,7 @@ def test_unusable_masks_are_one_clear_error(masks, message):
 
 
 def test_an_unknown_method_and_a_name_used_twice_are_errors():
-    with pytest.raises(ValueError, match="paper, official"):
+    with pytest.raises(ValueError, match="robust, official, paper"):
         locate(SCENE, cameras(), truths(), method="magic")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="'view_0'"):
         locate(SCENE, cameras(1) * 2, truths())

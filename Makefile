@@ -1,33 +1,45 @@
 # Every target works in a fresh clone with nothing but Python 3.11 or newer: what it needs is
-# installed into .venv, and again when pyproject.toml has changed.
+# installed into .venv, and again when pyproject.toml has changed. An interpreter named by PYTHON
+# has an environment of its own, such as .venv-3.13, so that no target runs on another one.
 
-PYTHON ?= python3
+ifdef PYTHON
+VENV := .venv-$(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])')
+else
+PYTHON := python3
 VENV := .venv
+endif
 BIN := $(VENV)/bin
-PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+LINT := .venv-lint
+PIP := python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: help demo test lint bench results docs clean
+.PHONY: help demo test lint fuzz bench results docs clean
 
 help:
 	@echo 'make demo    find a pasted object in a generated scene; results go to demo/'
-	@echo 'make test    ruff, pyright and all tests'
-	@echo 'make lint    ruff and pyright'
+	@echo 'make test    all tests'
+	@echo 'make lint    ruff and pyright, pinned, in an environment of their own'
+	@echo 'make fuzz    damaged files of every format: make fuzz N=1000000 SEED=1'
 	@echo 'make bench   speed of splatting on this machine'
 	@echo 'make results every table and chart of docs/results.md (three to four hours)'
 	@echo 'make docs    the documentation as a site, in site/, with its pictures'
-	@echo 'make clean   remove .venv, demo/ and caches'
-	@echo 'another interpreter: make test PYTHON=python3.12'
+	@echo 'make clean   remove environments, demo/ and caches'
+	@echo 'another interpreter, in an environment of its own: make test PYTHON=python3.12'
 
 demo: $(VENV)/installed
 	$(BIN)/gsc-jax demo --out demo
 
-test: lint
+test: $(VENV)/installed-dev
 	$(BIN)/python -m pytest
 
-lint: $(VENV)/installed-dev
-	$(BIN)/ruff check .
-	$(BIN)/ruff format --check .
-	PYRIGHT_PYTHON_IGNORE_WARNINGS=1 $(BIN)/pyright --pythonpath $(BIN)/python
+lint: $(LINT)/installed-dev
+	$(LINT)/bin/ruff check .
+	$(LINT)/bin/ruff format --check .
+	$(LINT)/bin/pyright --pythonpath $(LINT)/bin/python
+
+N ?= 20000
+SEED ?= 0
+fuzz: $(VENV)/installed-dev
+	PYTHONPATH=tests $(BIN)/python -m fuzz --inputs $(N) --seed $(SEED)
 
 bench: $(VENV)/installed
 	$(BIN)/python benchmarks/splat.py
@@ -45,19 +57,23 @@ docs: $(VENV)/installed-dev
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 clean:
-	rm -rf $(VENV) demo site build dist *.egg-info .pytest_cache .ruff_cache .hypothesis
+	rm -rf .venv .venv-* demo site build dist *.egg-info .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
-$(VENV)/installed: pyproject.toml
+$(VENV)/installed $(LINT)/installed: %/installed: pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
 	  echo 'gsc_jax needs Python 3.11 or newer, found:'; $(PYTHON) --version; \
 	  echo 'Name another one: make $(MAKECMDGOALS) PYTHON=python3.12'; exit 1; } >&2
 	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { \
 	  echo '$(PYTHON) lacks venv or ensurepip; on Debian: apt install python3-venv'; exit 1; } >&2
-	$(PYTHON) -m venv $(VENV)
-	$(PIP) -e .
+	$(PYTHON) -m venv $*
+	$*/bin/$(PIP) $(PINS) -e .
 	@touch $@
 
-$(VENV)/installed-dev: $(VENV)/installed
-	$(PIP) -e '.[dev]'
+$(VENV)/installed-dev $(LINT)/installed-dev: %/installed-dev: %/installed
+	$*/bin/$(PIP) $(PINS) -e '.[dev]'
 	@touch $@
+
+# New annotations of a library must not fail the lint of code that did not change.
+$(LINT)/%: PINS := --constraint .ci/lint.txt
+$(LINT)/installed: .ci/lint.txt

@@ -30,16 +30,18 @@ def scenes() -> Iterator[tuple[str, Gaussians, list[Camera]]]:
         yield "synthetic room", jax.tree.map(jnp.asarray, make_room()), room_cameras(24)
 
 
-def of_count(gaussians: Gaussians, count: int, *, seed: int = 0) -> Gaussians:
+def of_count(
+    gaussians: Gaussians, count: int, *, total: int | None = None, seed: int = 0
+) -> Gaussians:
     """Resample a scene to another number of Gaussians on the same surfaces.
 
     Rows are drawn with replacement and moved within their own extent; the scales follow the
-    spacing, so that the overlap per pixel does not change.
+    spacing, so that the overlap per pixel does not change, also if they are part of a `total`.
     """
     rng = np.random.default_rng(seed)
     rows = rng.choice(len(gaussians), count, replace=count > len(gaussians))
     drawn = jax.tree.map(lambda leaf: np.asarray(leaf)[rows], gaussians)
-    shrink = np.float32(0.5 * np.log(len(gaussians) / count))
+    shrink = np.float32(0.5 * np.log(len(gaussians) / (total or count)))
     step = rng.normal(0, 0.5, (count, 1)).astype(np.float32) * np.exp(drawn.log_scales)
     moved = dataclasses.replace(
         drawn, means=drawn.means + step, log_scales=drawn.log_scales + shrink

@@ -16,7 +16,7 @@ from gsc_jax.render.projection import project_centers
 from gsc_jax.render.tiles import View, make_view
 from gsc_jax.scene import Gaussians
 from gsc_jax.splat import accumulate
-from gsc_jax.vote import cast_votes, no_votes, tally
+from gsc_jax.vote import Tally, cast_votes, no_votes, tally
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -73,6 +73,13 @@ class Prediction:
 Method = Callable[[CaseObservation], Prediction]
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Tallied(Observation):
+    """An observation with given votes: cast for all regimes at once, or also by other views."""
+
+    votes: Tally  # pyright: ignore[reportIncompatibleVariableOverride]
+
+
 def observe_regimes(case: Case, masks: Mapping[str, np.ndarray]) -> dict[str, CaseObservation]:
     """Lift every set of masks (V, H, W) of a case, with one accumulation per view."""
     gaussians, cameras, names = case.gaussians, case.scene.cameras, list(masks)
@@ -90,7 +97,7 @@ def observe_regimes(case: Case, masks: Mapping[str, np.ndarray]) -> dict[str, Ca
             votes[name] += tally(cast_votes(centers, depths, mask)[None])
     shared = AllRegimes(views=views, by_regime={})
     for name, own in zip(names, tampered, strict=True):
-        observation = Observation(
+        observation = Tallied(
             gaussians=gaussians,
             cameras=tuple(cameras),
             evidence=Evidence(total=total, tampered=own),

@@ -13,6 +13,7 @@ The steps, in the terms of GS-Checker (section 3), and where each is:
 """
 
 import dataclasses
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -27,12 +28,15 @@ from gsc_jax.estimators.robust.early_stopping import EarlyStopping, observe_unti
 from gsc_jax.evidence.detector import Detector, as_detector
 from gsc_jax.evidence.masks import view_mask
 from gsc_jax.evidence.monitor import Monitor
-from gsc_jax.evidence.observation import check_cameras, observe
+from gsc_jax.evidence.observation import EVIDENCE, Observation, check_cameras, observe
+from gsc_jax.evidence.storage import ArrayStore, ByView
 from gsc_jax.forensics.evidence import ForensicEvidence, estimate_from_attributes, forensic_evidence
 from gsc_jax.render.visibility import check_views
 from gsc_jax.scene import Camera, Gaussians, invalid_rows
 from gsc_jax.scene.parallel import WORKERS, bounded_map
 
+MASK = "mask"
+"""Kind of the final masks in a store."""
 MIN_CONFIRMED = 0.1
 """Warn if the final masks cover less than this share of what the detector flagged."""
 
@@ -67,8 +71,8 @@ class Result:
     attribute: np.ndarray
     verdict: float | None
     reliability: dict[str, Reliability]
-    masks: dict[str, np.ndarray]
-    probabilities: dict[str, np.ndarray]
+    masks: Mapping[str, np.ndarray]
+    probabilities: Mapping[str, np.ndarray]
     seen: np.ndarray
     group_sizes: np.ndarray
     early_stopping: EarlyStopping | None
@@ -89,10 +93,11 @@ def locate(
     cameras: Sequence[Camera],
     detector: Detector | Callable[[np.ndarray], Any] | Mapping[str, Any] | None,
     *,
-    method: Method = "robust",
+    method: Method | None = None,
     config: Estimator | None = None,
     prior: Prior | bool = True,
     monitor: Monitor | None = None,
+    store: ArrayStore | None = None,
 ) -> Result:
     """Find the tampered Gaussians of a scene.
 
@@ -103,20 +108,24 @@ def locate(
             size, or probability maps by camera name. With None, `robust` uses the attributes of
             the Gaussians alone, and the views only show the result.
         method: `robust` (infers the reliability of every mask), `official` (the released code of
-            GS-Checker) or `paper` (its equations).
+            GS-Checker) or `paper` (its equations); by default that of `config`, or else `robust`.
         config: Replaces the default configuration of the method, e.g. a `RobustEstimator`.
         prior: True to compute the evidence from the attributes for methods that use a prior, False
             for none, or a prior.
         monitor: Records time, memory and progress.
+        store: Where the arrays of the views are kept; those of an interrupted run of the same
+            input are used. By default in memory, beyond a bound in temporary files.
 
     Returns:
         The result; deterministic for one configuration.
 
     Raises:
         InputError: if the cameras see nothing of the scene, share a name, or have no mask.
-        ValueError: if the method is unknown, or has neither a detector nor a prior.
+        ValueError: if the method is unknown, is not that of the configuration, or has neither a
+            detector nor a prior.
     """
     estimator, monitor = configured(method, config), monitor or Monitor()
+    given, store = store, store or ArrayStore()
     warnings = [*check_views(gaussians, cameras, near=estimator.near), *_unusable(gaussians)]
     check_cameras(cameras)
     gaussians = jax.tree.map(jnp.asarray, gaussians)
@@ -124,9 +133,15 @@ def locate(
     if detector is None:  # prior -> decide
         found = _from_attributes(estimator, known, monitor)
     else:  # cameras -> render -> detect -> vote and lift -> optimise -> decide
-        found = _from_views(gaussians, cameras, as_detector(detector), estimator, known, monitor)
+        detector = as_detector(detector)
+        settings = {"near": estimator.near, "store": store, "monitor": monitor}
+        observed = functools.partial(observe, gaussians, detector=detector, **settings)
+        found = _from_views(observed, cameras, detector, estimator, known, monitor)
     finding, estimator = found.finding, found.estimator
-    masks = _view_masks(gaussians, cameras, finding, estimator, monitor)  # labels -> masks
+    if given is None:
+        store.release(EVIDENCE)  # the result keeps the store for its masks
+    mask_of = functools.partial(_view_mask, gaussians, finding, estimator, monitor)
+    masks = _stored(mask_of, cameras, store, monitor)  # labels -> masks
     if finding.verdict is None:  # `robust` explains disagreement by the reliability of masks
         warnings += _unconfirmed(found.flagged, masks)
     return Result(
@@ -178,13 +193,13 @@ class _Estimated:
     estimator: Estimator
     views: Sequence[str] = ()
     flagged: Mapping[str, np.ndarray] = dataclasses.field(default_factory=dict)
-    probabilities: dict[str, np.ndarray] = dataclasses.field(default_factory=dict)
+    probabilities: Mapping[str, np.ndarray] = dataclasses.field(default_factory=dict)
     early_stopping: EarlyStopping | None = None
     warnings: Sequence[str] = ()
 
 
 def _from_views(
-    gaussians: Gaussians,
+    observed: Callable[[Sequence[Camera]], Observation],
     cameras: Sequence[Camera],
     detector: Detector,
     estimator: Estimator,
@@ -197,11 +212,11 @@ def _from_views(
     # Masks from files cost nothing; each view of a network takes seconds.
     if estimator.stops_early and detector.needs_image:
         observation, finding, stop = observe_until_stable(
-            gaussians, chosen, detector, estimator, prior=prior, monitor=monitor
+            observed, chosen, estimator, prior=prior, monitor=monitor
         )
     else:
         # Render (eq. 4), detect, vote (eq. 5), lift the masks to evidence (eq. 9 and 10) ...
-        observation = observe(gaussians, chosen, detector, near=estimator.near, monitor=monitor)
+        observation = observed(chosen)
         with monitor.stage("optimise"):
             # ... initial attribute (eq. 6), optimise (eq. 7 to 12), decide.
             finding = estimator.estimate(observation, prior)
@@ -231,26 +246,28 @@ def _from_attributes(estimator: Estimator, prior: Prior | None, monitor: Monitor
     return _Estimated(finding=finding, seen=prior.known, estimator=estimator)
 
 
-def _view_masks(
-    gaussians: Gaussians,
-    cameras: Sequence[Camera],
-    finding: Finding,
-    estimator: Estimator,
-    monitor: Monitor,
-) -> dict[str, np.ndarray]:
-    """Tampered pixels of every view by camera name."""
+def _view_mask(
+    gaussians: Gaussians, finding: Finding, estimator: Estimator, monitor: Monitor, camera: Camera
+) -> np.ndarray:
     rule, threshold, near = estimator.mask_rule, estimator.threshold, estimator.near
+    with monitor.stage("masks"):
+        return view_mask(gaussians, camera, finding, rule=rule, threshold=threshold, near=near)
 
-    def mask_of(camera: Camera) -> np.ndarray:
-        with monitor.stage("masks"):
-            return view_mask(gaussians, camera, finding, rule=rule, threshold=threshold, near=near)
 
-    masks = {}
+def _stored(
+    mask_of: Callable[[Camera], np.ndarray],
+    cameras: Sequence[Camera],
+    store: ArrayStore,
+    monitor: Monitor,
+) -> ByView:
+    """Compute the mask of every view and put it into the store: tampered pixels by camera name."""
     with ThreadPoolExecutor(WORKERS) as pool:
-        for camera, mask in zip(cameras, bounded_map(pool, mask_of, cameras), strict=True):
-            masks[camera.name] = mask
-            monitor.progress("masks", len(masks), len(cameras))
-    return masks
+        masks = zip(cameras, bounded_map(pool, mask_of, cameras), strict=True)
+        for done, (camera, mask) in enumerate(masks, start=1):
+            store.put(MASK, camera.name, mask)
+            monitor.progress("masks", done, len(cameras))
+    names = tuple(camera.name for camera in cameras)
+    return ByView(names, lambda name: np.array(store.get(MASK, name)))
 
 
 def _unconfirmed(flagged: Mapping[str, np.ndarray], masks: Mapping[str, np.ndarray]) -> list[str]:

@@ -14,12 +14,15 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from gsc_jax.evidence.lifting import Evidence
+from gsc_jax.evidence.lifting import Evidence, EvidenceOfViews
 from gsc_jax.losses import loss_2d, loss_2d_from_evidence, loss_3d, partition
 from gsc_jax.render.tiles import View
 from gsc_jax.scene import Array
 from gsc_jax.scene.pytree import STATIC
 from gsc_jax.splat import composite
+
+MAX_WEIGHT = 1e6
+"""Largest weight and learning rate: Adam squares products of them and the evidence in float32."""
 
 
 @jax.tree_util.register_dataclass
@@ -35,6 +38,9 @@ class LoopConfig:
         contrastive_start: First iteration, counted from 0, with the 3D loss; None: half of them.
         learning_rate: Learning rate of Adam.
         per_feature: Average one sign per attribute in eq. 8, as the released code does.
+
+    Raises:
+        ValueError: if a number is negative, not finite, or larger than `MAX_WEIGHT`.
     """
 
     lambda1: float = 1.0
@@ -44,6 +50,14 @@ class LoopConfig:
     contrastive_start: int | None = None
     learning_rate: float = 1.0
     per_feature: bool = dataclasses.field(default=False, metadata=STATIC)
+
+    def __post_init__(self) -> None:
+        """Check the numbers; JAX also makes instances of traced values, which have none yet."""
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            most = np.iinfo(np.int32).max if field.name == "contrastive_start" else MAX_WEIGHT
+            if isinstance(value, int | float | np.number) and not 0 <= value <= most:
+                raise ValueError(f"{field.name} must be in [0, {most:g}], got {value}")
 
 
 class State(NamedTuple):
@@ -119,13 +133,13 @@ def adam(learning_rate: float) -> optax.GradientTransformation:
 
 
 def fit(
-    evidence: Evidence, r: Array, attributes: Array, order: Array, *, config: LoopConfig
+    evidence: EvidenceOfViews, r: Array, attributes: Array, order: Array, *, config: LoopConfig
 ) -> tuple[jax.Array, StepInfo]:
     """Optimise the attribute on evidence, without rendering.
 
     Args:
-        evidence: Evidence of V views, shapes (V, N); may be on the host or on disk, since one view
-            at a time is copied.
+        evidence: Evidence of V views, shapes (V, N); may be sparse, on the host or on disk, since
+            one view at a time is read.
         r: Initial attribute, shape (N,).
         attributes: Attributes F of the 3D loss, shape (A, N).
         order: View of each iteration, shape (iterations,), int32.
@@ -137,8 +151,7 @@ def fit(
     config, attributes = resolved(config, len(order)), jnp.asarray(attributes)
 
     def one_step(state: State, index: int) -> tuple[State, StepInfo]:
-        view = jax.tree.map(lambda leaf: leaf[index], evidence)
-        return _evidence_step(state, view, attributes, config)
+        return _evidence_step(state, evidence.view(index), attributes, config)
 
     return _iterate(one_step, r, order)
 

@@ -14,6 +14,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from gsc_jax.render.projection import MIN_ALPHA, NEAR
 from gsc_jax.render.spherical_harmonics import colors
@@ -180,6 +181,14 @@ def composite_with_alpha(view: View, features: Array) -> tuple[jax.Array, jax.Ar
     return blended[..., :-1], blended[..., -1]
 
 
+def require_finite(name: str, values: jax.Array) -> jax.Array:
+    """Return the values; raise ValueError if one is not finite: 0 * NaN would fill the image."""
+    # Traced values, as under `jax.grad`, are not known yet.
+    if not isinstance(values, jax.core.Tracer) and not np.isfinite(values).all():
+        raise ValueError(f"{name} must be finite")
+    return values
+
+
 def render_features(
     gaussians: Gaussians, camera: Camera, features: Array, *, near: float = NEAR
 ) -> tuple[jax.Array, jax.Array]:
@@ -195,8 +204,9 @@ def render_features(
         Image (H, W, D), not divided by alpha, and alpha (H, W).
 
     Raises:
-        ValueError: if the number of rows is not N.
+        ValueError: if the number of rows is not N, or a feature is not finite.
     """
+    features = require_finite("features", jnp.asarray(features, jnp.float32))
     return composite_with_alpha(make_view(gaussians, camera, near=near), features)
 
 
@@ -217,7 +227,12 @@ def render(
 
     Returns:
         RGB (H, W, 3) in [0, 1] and alpha (H, W) in [0, 1].
+
+    Raises:
+        ValueError: if the background is no colour in [0, 1].
     """
+    if np.shape(background) != (3,) or not all(0 <= channel <= 1 for channel in background):
+        raise ValueError(f"background must be three numbers in [0, 1], got {background}")
     view = make_view(gaussians, camera, near=near)
     return render_view(view, gaussians, camera, background=background)
 
@@ -253,7 +268,7 @@ def accumulate_maps(
         not visible.
 
     Raises:
-        ValueError: if the maps do not have the size of the image.
+        ValueError: if the maps do not have the size of the image, or a value is not finite.
     """
-    maps = jnp.asarray(maps, jnp.float32)
+    maps = require_finite("maps", jnp.asarray(maps, jnp.float32))
     return accumulate(make_view(gaussians, camera, near=near), maps)

@@ -20,6 +20,7 @@ from results_folder import ball_over_floor
 from gsc_jax.benchmark.metrics import truth_mask
 from gsc_jax.cli import detector_choice
 from gsc_jax.cli import main as cli
+from gsc_jax.cli.staging import UNFINISHED
 from gsc_jax.detectors.onnx import OnnxDetector
 from gsc_jax.io.cameras import save_cameras
 from gsc_jax.io.layout import encode
@@ -134,8 +135,9 @@ def network(path: Path, channels: int = 3) -> Path:
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """All files below a folder, by relative path."""
-    files = (path for path in folder.rglob("*") if path.is_file())
+    """All files below a folder but those of an unfinished run, by relative path."""
+    below = folder.rglob("*")
+    files = [path for path in below if path.is_file() and UNFINISHED not in path.parts]
     return {str(path.relative_to(folder)): path.read_bytes() for path in files}
 
 

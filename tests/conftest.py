@@ -1,6 +1,7 @@
 """Strict JAX for all tests (no implicit promotion), and a counter of compilations."""
 
 import contextlib
+import importlib.metadata
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
@@ -28,6 +29,12 @@ def pytest_configure(config):
         "gsc_jax", deadline=None, max_examples=20, derandomize=True, print_blob=True
     )
     hypothesis.settings.load_profile("gsc_jax")
+
+
+def pytest_report_header() -> str:
+    """Versions that results may depend on; pytest itself prints that of Python."""
+    names = ("jax", "numpy", "scipy", "optax", "onnxruntime")
+    return ", ".join(f"{name} {importlib.metadata.version(name)}" for name in names)
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import onnx
-from onnx import NodeProto, TensorProto, helper, numpy_helper
+from onnx import AttributeProto, NodeProto, TensorProto, helper, numpy_helper
 from strategies import camera
 
 from gsc_jax.scene import Camera
@@ -64,17 +64,38 @@ def identity(output: str = "map") -> NodeProto:
 WEIGHTS = np.full((4, 4), 7, np.float32)
 
 
-def external_model(folder: Path, location: str) -> Path:
-    """Write net.onnx, which adds `WEIGHTS` from another file to its input."""
+def external_model(folder: Path, location: str, *, place: str = "initializer") -> Path:
+    """Write net.onnx, which adds `WEIGHTS` from another file to its input.
+
+    The tensor is an initializer, a sparse one, or a constant of the graph, of a branch, or of a
+    function.
+    """
     tensor = TensorProto(name="w", data_type=FLOAT, dims=(4, 4), data_location="EXTERNAL")
     for key, value in {"offset": "0", "location": location, "length": "64"}.items():
         entry = tensor.external_data.add()
         entry.key, entry.value = key, value
     x, y = (helper.make_tensor_value_info(name, FLOAT, (4, 4)) for name in "xy")
-    add = helper.make_node("Add", ["x", "w"], ["y"])
-    graph = helper.make_graph([add], "test", [x], [y], initializer=[tensor])
-    opset = [helper.make_opsetid("", 17)]
-    proto = helper.make_model(graph, opset_imports=opset, ir_version=8)
+    constant = helper.make_node("Constant", [], ["w"])
+    constant.attribute.add(name="value", type=AttributeProto.TENSOR).t.CopyFrom(tensor)
+    nodes, functions = [helper.make_node("Add", ["x", "w"], ["y"])], []
+    opset = [helper.make_opsetid("", 17), helper.make_opsetid("test", 1)]
+    initializers = {"branch": [numpy_helper.from_array(np.array(True), "yes")]}
+    initializers["initializer"] = [tensor]
+    if place == "constant":
+        nodes = [constant, *nodes]
+    elif place == "function":
+        body = [constant, *nodes]
+        functions = [helper.make_function("test", "F", ["x"], ["y"], body, opset[:1])]
+        nodes = [helper.make_node("F", ["x"], ["y"], domain="test")]
+    elif place == "branch":
+        branch = helper.make_graph([constant, *nodes], "branch", [], [y])
+        nodes = [helper.make_node("If", ["yes"], ["y"], then_branch=branch, else_branch=branch)]
+    graph = helper.make_graph(nodes, "test", [x], [y], initializer=initializers.get(place, []))
+    if place == "sparse":
+        sparse = graph.sparse_initializer.add(dims=(4, 4), values=tensor)
+        sparse.values.dims[:] = [16]
+        sparse.indices.CopyFrom(numpy_helper.from_array(np.arange(16)))
+    proto = helper.make_model(graph, opset_imports=opset, ir_version=8, functions=functions)
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "net.onnx").write_bytes(proto.SerializeToString())
     return folder / "net.onnx"

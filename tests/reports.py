@@ -105,6 +105,7 @@ def run(
         stages={"attributes": {"seconds": 7.5, "peak_mib": 1234.5}},
         seconds=12.34,
         warnings=warnings,
+        visible_share=float(np.mean([mask.mean() for mask in masks.values()])),
     )
 
 

@@ -36,12 +36,12 @@ def ball_over_floor(count: int, every: int) -> tuple[Gaussians, np.ndarray]:
     return gaussians, ball
 
 
-def write_results(folder: Path, *, views: int = 3) -> list[Camera]:
+def write_results(folder: Path, *, views: int = 3, count: int = COUNT) -> list[Camera]:
     """Write the folder; return its cameras, at the size of their masks."""
-    gaussians, ball = ball_over_floor(COUNT, OBJECT)
+    gaussians, ball = ball_over_floor(count, OBJECT)
     gaussians.means[list(BROKEN)] = np.nan
     rng = np.random.default_rng(1)
-    scores = np.where(ball, rng.uniform(0.6, 1, COUNT), rng.uniform(0, 0.4, COUNT))
+    scores = np.where(ball, rng.uniform(0.6, 1, count), rng.uniform(0, 0.4, count))
     scores[list(BROKEN)] = 0
     scores = scores.astype(np.float32)
     folder.mkdir(parents=True, exist_ok=True)

@@ -21,7 +21,7 @@ from gsc_jax import (
 )
 from gsc_jax.benchmark.metrics import confusion
 from gsc_jax.detectors.folder import FolderDetector
-from gsc_jax.estimators import Method
+from gsc_jax.estimators import Method, configured
 from gsc_jax.estimators.protocol import ALL_FLAGGED, NONE_FLAGGED
 from gsc_jax.evidence.detector import as_detector, fit_to_view
 from gsc_jax.locate import _unconfirmed
@@ -168,13 +168,27 @@ def test_labels_much_smaller_than_the_masks_are_a_warning(found, warned):
     assert all("its masks disagree" in sentence for sentence in sentences)
 
 
-WRONG = {"mask_rule": "shar", "path": "y", "threshold": -1.0, "epochs": 0, "near": 0.0}
+WRONG = {
+    "mask_rule": "shar",
+    "path": "y",
+    "threshold": -1.0,
+    "epochs": 0,
+    "near": 0.0,
+    "seed": -1,
+}
 
 
 @pytest.mark.parametrize("name", WRONG)
 def test_values_out_of_range_are_errors(name):
     with pytest.raises(ValueError, match=name):
         dataclasses.replace(METHODS["paper"], **{name: WRONG[name]})
+
+
+@pytest.mark.parametrize(("method", "config"), [("paper", "robust"), ("official", "paper")])
+def test_a_configuration_of_another_method_is_an_error(method, config):
+    with pytest.raises(ValueError, match=f"config is of the method '{config}', got .*'{method}'"):
+        locate(SCENE, cameras(), truths(), method=method, config=METHODS[config])
+    assert configured(config=METHODS[config]) is METHODS[config]
 
 
 @pytest.mark.parametrize("rule", ["attribute", "share", "per-view"])
@@ -228,7 +242,7 @@ def test_progress_and_stages_are_recorded():
     )
     assert ("views", 2, 2) in calls
     assert ("masks", 2, 2) in calls
-    assert {"project", "bin", "detect", "lift", "vote", "optimise", "masks"} <= set(result.stages)
+    assert {"project", "bin", "detect", "lift", "optimise", "masks"} <= set(result.stages)
     assert all(stage["seconds"] >= 0 for stage in result.stages.values())
 
 

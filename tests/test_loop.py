@@ -13,7 +13,7 @@ from gsc_jax.detectors.folder import FolderDetector
 from gsc_jax.estimators.gschecker import ATTRIBUTES, OFFICIAL, PAPER
 from gsc_jax.evidence.lifting import Evidence, view_evidence
 from gsc_jax.locate import locate
-from gsc_jax.loop import LoopConfig, fit, fit_rendered, init, step, view_order
+from gsc_jax.loop import MAX_WEIGHT, LoopConfig, fit, fit_rendered, init, step, view_order
 from gsc_jax.render.tiles import make_view
 
 ATTRIBUTES_OF_SIX = np.array([[1.0, 1.0, 0.9, 0.1, 0.0, 0.0]], np.float32)
@@ -122,3 +122,18 @@ def test_both_paths_agree_on_real_scenes(name, config):
     error = np.linalg.norm(fast.attribute - slow.attribute) / np.linalg.norm(slow.attribute)
     assert error < 1e-3
     assert np.mean(fast.labels != slow.labels) < 1e-4
+
+
+@pytest.mark.parametrize("value", [-1.0, float("nan"), float("inf"), 1e300])
+@pytest.mark.parametrize("name", ["lambda1", "lambda2", "beta", "gamma", "learning_rate"])
+def test_weights_out_of_range_are_errors(name, value):
+    with pytest.raises(ValueError, match=name):
+        LoopConfig(**{name: value})
+
+
+def test_the_largest_weights_give_finite_attributes():
+    evidence = Evidence(total=np.full((4, 6), 1e5, np.float32), tampered=np.eye(4, 6, dtype="f4"))
+    largest = dict.fromkeys(("lambda1", "lambda2", "beta", "gamma", "learning_rate"), MAX_WEIGHT)
+    config = LoopConfig(**largest)
+    order = view_order(4, epochs=2)
+    assert jnp.isfinite(fit(evidence, R, ATTRIBUTES_OF_SIX, order, config=config)[0]).all()

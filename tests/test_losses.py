@@ -56,6 +56,23 @@ def test_the_groups_have_the_thresholds_of_the_released_code():
     assert np.flatnonzero(found.low).tolist() == [7, 8]
 
 
+def test_the_groups_do_not_depend_on_the_unit_of_the_attribute():
+    r = np.array([10.0, 9.5, 5.0, 0.5, -5.0, -9.5, -10.0], np.float32)
+    for unit in (1e-3, 1e3):
+        found = partition(r * np.float32(unit))
+        assert np.flatnonzero(found.high).tolist() == [0, 1]
+        assert np.flatnonzero(found.middle).tolist() == [3]
+        assert np.flatnonzero(found.low).tolist() == [5, 6]
+
+
+def test_an_attribute_of_0_is_low_where_none_is_negative_and_in_no_other_group():
+    assert partition(np.array([2.0, 1.0, 0.0], np.float32)).low.tolist() == [False, False, True]
+    zeros = partition(np.zeros(3, np.float32))
+    assert not zeros.high.any()
+    assert not zeros.middle.any()
+    assert zeros.low.all()
+
+
 @given(hnp.arrays(np.float32, 8, elements=st.floats(-50, 50, width=32)))
 def test_no_gaussian_is_in_two_groups(r):
     found = partition(jnp.asarray(r))
@@ -132,3 +149,16 @@ def test_standardised_attributes_ignore_units_and_the_sign_of_a_quaternion():
     infinite = with_row(scene, "logit_opacities", np.inf)
     constant = dataclasses.replace(infinite, means=np.ones_like(scene.means))
     assert jnp.isfinite(standardised_attributes(constant)).all()
+
+
+def test_standardised_attributes_have_median_0_and_mad_1_and_are_0_where_not_usable():
+    scene = with_row(random_scene(51), "means", np.nan)
+    scene = dataclasses.replace(scene, sh=np.ones_like(scene.sh))
+    of_scene = standardised_attributes(scene)
+    assert of_scene[:3, 0].tolist() == [0, 0, 0]
+    assert not of_scene[3:6].any(), "a colour that does not vary"
+    varying = of_scene[[0, 1, 2, *range(6, 14)], 1:]
+    np.testing.assert_allclose(np.median(varying, axis=1), 0, atol=1e-5)
+    np.testing.assert_allclose(np.median(np.abs(varying), axis=1) * 1.4826, 1, rtol=1e-4)
+    for row, of_row in ((6, scene.logit_opacities), (7, scene.log_scales[:, 0])):
+        assert np.array_equal(np.argsort(of_scene[row, 1:]), np.argsort(of_row[1:]))

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from gsc_jax.vote import cast_votes, official_consensus, paper_consensus, tally
+from gsc_jax.vote import cast_votes, no_votes, official_consensus, paper_consensus, tally
 
 MASK = np.zeros((4, 6), bool)
 MASK[1, 2] = True
@@ -43,6 +43,13 @@ def test_tallies_add_up_and_the_official_consensus_implies_that_of_the_paper(vot
     both = tally(votes[:3]) + tally(votes[3:])
     assert np.array_equal(both.tampered, counts.tampered)
     assert np.array_equal(both.abstained, counts.abstained)
+
+
+def test_no_votes_change_no_tally():
+    counts = tally(np.array([[1, 0], [1, -1]])) + no_votes(2)
+    assert counts.tampered.tolist() == [2, 0]
+    assert counts.authentic.tolist() == [0, 1]
+    assert counts.abstained.tolist() == [0, 1]
 
 
 @given(votes_of_views, st.permutations(range(9)))

@@ -10,7 +10,6 @@ depend on the method are dropped.
 import dataclasses
 import functools
 import json
-import tomllib
 import typing
 from collections.abc import Mapping
 from pathlib import Path
@@ -23,7 +22,8 @@ from gsc_jax.cli.locate_options import Locate
 from gsc_jax.estimators import METHODS, Method
 from gsc_jax.estimators.protocol import Estimator
 from gsc_jax.io.files import existing_file
-from gsc_jax.io.validation import one_line
+from gsc_jax.io.tables import PARSERS, read_table
+from gsc_jax.io.validation import one_line, shown
 from gsc_jax.scene import InputError
 
 Table = dict[str, Any]
@@ -85,9 +85,9 @@ def read_config_file(path: str | Path) -> ConfigFile:
             raise InputError(f"{path}: config.tolerance and a number of views exclude each other")
         config.pop("tolerance", None)  # 0 in a result.json, as it follows from the options
     _refuse_contradictions(path, command, config)
-    if report:
-        _reopen_schedule(base, config, content.get("judged_views"))
     try:
+        if report:
+            _reopen_schedule(base, config, content.get("judged_views"))
         estimator = _replaced(base, config)
     except ValueError as error:
         raise InputError(f"{path}: config: {error}") from error
@@ -95,15 +95,9 @@ def read_config_file(path: str | Path) -> ConfigFile:
 
 
 def _read(path: Path) -> Table:
-    readers = {".json": json.loads, ".toml": tomllib.loads}
-    read = readers.get(path.suffix.lower())
-    if read is None:
+    if path.suffix.lower() not in PARSERS:
         raise InputError(f"{path}: expected a .toml or .json, or a result.json of `locate`")
-    try:
-        content = read(path.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError) as error:  # also text that is not UTF-8
-        kind = path.suffix[1:].upper()
-        raise InputError(f"{path}: not valid {kind} ({error}); correct the file") from error
+    content = read_table(path, remedy="correct the file")
     if not isinstance(content, dict):
         raise InputError(f"{path}: expected the tables command and config")
     return content
@@ -142,7 +136,7 @@ def _method(path: Path, command: Table, config: Mapping[str, Any]) -> Method:
     """The method of a file, which both of its tables may name."""
     name = config.get("name")
     if name is not None and name not in list(METHODS):
-        raise InputError(f"{path}: config.name: expected {', '.join(METHODS)}, found {name!r}")
+        raise InputError(f"{path}: config.name: expected {', '.join(METHODS)}, found {shown(name)}")
     method = command.get("method", name or "robust")
     if name not in (None, method):
         raise InputError(f"{path}: command.method is {method}, but config.name is {name}")
@@ -164,7 +158,8 @@ def _reopen_schedule(base: Estimator, config: Table, views: Any) -> None:
     if loop is None or not isinstance(views, int):
         return
     unset = _replaced(base, {**config, "loop": {**loop, "contrastive_start": None}})
-    if typing.cast(Any, unset.for_views(views)).loop.contrastive_start == loop["contrastive_start"]:
+    default = typing.cast(Any, unset.for_views(views)).loop.contrastive_start
+    if loop.get("contrastive_start") == default:
         loop["contrastive_start"] = None
 
 

@@ -29,10 +29,12 @@ from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.io.cameras import save_cameras
 from gsc_jax.io.masks import write_mask, write_probability
 from gsc_jax.locate import Result
-from gsc_jax.scene import Camera
+from gsc_jax.scene import Camera, InputError
 from gsc_jax.splat import render
 
 REGIME = "mixture"
+HELDOUT = "heldout_cameras.json"
+"""The first file of the input that is written."""
 ATTRIBUTES_ONLY = "native"
 RUNS: dict[str, Method] = {
     ATTRIBUTES_ONLY: "robust",
@@ -74,8 +76,9 @@ def run_demo(
     """Generate the scene, by default `tampered_room`, run every method; return lines to print.
 
     Raises:
-        InputError: if the folder cannot be written to.
+        InputError: if the folder cannot be written to, or holds files of another origin.
     """
+    _refuse_foreign(options.out)
     monitor = monitor or Monitor()
     made = made or tampered_room(seed=options.seed)
     decoy = decoy_labels(made.gaussians, made.labels, seed=options.seed)
@@ -104,6 +107,13 @@ def run_demo(
     ]
 
 
+def _refuse_foreign(out: Path) -> None:
+    """Refuse a folder with other files; those of a demo that was interrupted are replaced."""
+    for path in (out / "input", out / "heldout.png"):
+        if path.exists() and not (out / "input" / HELDOUT).exists():
+            raise InputError(f"{path}: exists and is not from `demo`; give another --out")
+
+
 def _simulated(made: MadeScene, decoy: np.ndarray, seed: int, monitor: Monitor) -> Case:
     """Render the truth, and simulate the detector on it; it may flag the decoy Gaussians, (N,)."""
     cameras = [*made.cameras, *made.heldout_cameras]
@@ -124,8 +134,8 @@ def _simulated(made: MadeScene, decoy: np.ndarray, seed: int, monitor: Monitor) 
 def _write_input(folder: Path, case: Case) -> None:
     """Write the input of the methods, and the truth; held-out views get no mask."""
     made = case.made
+    save_cameras(folder / HELDOUT, made.heldout_cameras)
     write_scene(folder, made.gaussians, made.cameras, made.labels)
-    save_cameras(folder / "heldout_cameras.json", made.heldout_cameras)
     masks = {camera.name: case.detector[camera.name] for camera in made.cameras}
     write_views(folder / "masks", masks, write_probability)
     write_views(folder / "truth", case.truth, write_mask)

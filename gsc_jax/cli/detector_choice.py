@@ -15,6 +15,7 @@ from gsc_jax.detectors.specs import PLAIN, PRESETS, OnnxSpec, preset, read_spec,
 from gsc_jax.estimators import METHODS
 from gsc_jax.estimators.protocol import Estimator
 from gsc_jax.evidence.detector import Detector
+from gsc_jax.io.allocation import memory_limit
 from gsc_jax.scene import InputError
 
 NATIVE, NONE = Path("native"), Path("none")
@@ -35,13 +36,14 @@ def configured_estimator(options: Locate) -> Estimator:
         if getattr(options, name) is not None:
             changes[name] = getattr(options, name)
     loop = getattr(base, "loop", None)
-    if loop is not None and "lambda2" in changes:
-        changes["loop"] = dataclasses.replace(loop, lambda2=changes.pop("lambda2"))
+    weights = {"lambda2": changes.pop("lambda2")} if loop and "lambda2" in changes else {}
     for name in changes.keys() - {field.name for field in dataclasses.fields(base)}:
         raise InputError(f"--{name}: does not apply to --method {options.method}")
     if base.stops_early and (options.all_views or options.views):
         changes["tolerance"] = 0.0
     try:
+        if weights:
+            changes["loop"] = dataclasses.replace(loop, **weights)
         return dataclasses.replace(base, **changes)
     except ValueError as error:
         raise InputError(f"options of --method {options.method}: {error}") from error
@@ -91,7 +93,7 @@ def open_detector(options: Locate, *, attributes: bool) -> Detector | None:
                 f"--masks {options.masks}: needs the cameras of the masks, --cameras "
                 "(`gsc-jax render` writes a cameras.json when it creates an orbit)"
             )
-        return FolderDetector(options.masks)
+        return FolderDetector(options.masks, max_bytes=memory_limit(options.memory))
     if not attributes:
         raise InputError(
             f"--method {options.method}: there is no evidence; give --masks DIR or --detector "

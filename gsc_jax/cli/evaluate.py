@@ -15,7 +15,7 @@ from gsc_jax.cli.options import Evaluate
 from gsc_jax.cli.outputs import write_json
 from gsc_jax.cli.report.wording import share
 from gsc_jax.cli.results import Results, read_by_row, read_results
-from gsc_jax.cli.staging import EVALUATION
+from gsc_jax.cli.staging import EVALUATION, refuse_foreign_file
 from gsc_jax.detectors.folder import FolderDetector
 from gsc_jax.evidence.detector import fit_to_view
 from gsc_jax.io.masks import image_path, read_probability
@@ -24,6 +24,8 @@ from gsc_jax.scene import Camera, InputError
 MEASURES = {"f1": "F1", "iou": "IoU", "precision": "precision", "recall": "recall"}
 """Titles of the columns, by property of `Confusion`."""
 NAME_WIDTH = 32
+BEGINNING = '{\n  "folder": '
+"""Beginning of a file of scores."""
 ASPECT_TOLERANCE = 0.02
 """Relative difference between the aspects of a truth and its view that rounding of the sizes of
 small images explains."""
@@ -36,8 +38,11 @@ def run_evaluate(options: Evaluate) -> tuple[list[str], list[str]]:
     """Compare results with the truth and write the scores; return lines to print, and warnings.
 
     Raises:
-        InputError: if the folder holds no results, or the truth does not belong to them.
+        InputError: if the folder holds no results, the truth does not belong to them, or another
+            file exists where the scores go.
     """
+    out = options.out or options.folder / EVALUATION
+    refuse_foreign_file(out, BEGINNING)
     labels, masks = _file_and_folder(options.truth)
     results = read_results(options.folder)
     report: dict[str, Any] = {"folder": options.folder, "truth": options.truth}
@@ -49,7 +54,6 @@ def run_evaluate(options: Evaluate) -> tuple[list[str], list[str]]:
     if masks is not None:
         report["views"] = _by_view(results, masks, warnings)
         lines += [*_view_table(report["views"]), ""]
-    out = options.out or options.folder / EVALUATION
     write_json(out, {**report, "warnings": warnings})
     return [*lines, f"numbers  {out}"], warnings
 

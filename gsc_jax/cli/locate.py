@@ -1,7 +1,11 @@
 """`gsc-jax locate`: from files to a folder of results; all input is checked first."""
 
 import dataclasses
+import hashlib
+import uuid
 from pathlib import Path
+
+import numpy as np
 
 from gsc_jax.cli.config_file import read_config_file
 from gsc_jax.cli.detector_choice import (
@@ -13,17 +17,22 @@ from gsc_jax.cli.detector_choice import (
 )
 from gsc_jax.cli.locate_options import Locate
 from gsc_jax.cli.located import Located
-from gsc_jax.cli.outputs import write_report, write_results
+from gsc_jax.cli.outputs import planned_outputs, versions, write_report, write_results
 from gsc_jax.cli.scene_input import check_numbers, choose_cameras, naming, read_scene
-from gsc_jax.cli.staging import refuse_overlap, replacing
+from gsc_jax.cli.staging import refuse_blocked, refuse_overlap, replacing, views_of
 from gsc_jax.estimators.protocol import Estimator
 from gsc_jax.evidence.detector import Detector
 from gsc_jax.evidence.monitor import Monitor
+from gsc_jax.evidence.storage import ArrayStore
+from gsc_jax.io.allocation import memory_limit
 from gsc_jax.io.cameras import camera_files
 from gsc_jax.io.ply import PlyScene
 from gsc_jax.locate import locate
 from gsc_jax.render.visibility import check_views
 from gsc_jax.scene import Camera, InputError
+
+EXPANDED = 16
+"""Evidence up to this part of --memory is expanded, which makes estimates faster."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -68,6 +77,7 @@ def read_inputs(options: Locate, *, monitor: Monitor) -> Inputs:
     if options.views:
         usable = detector.select(cameras) if detector else cameras
         cameras = choose_cameras(options, usable, warnings)
+    refuse_blocked(options.out, planned_outputs(cameras))
     with naming(options.cameras or options.scene):
         check_views(scene.gaussians, cameras, near=options.near)  # `locate` repeats its warnings
     return Inputs(
@@ -92,7 +102,9 @@ def run_locate(options: Locate, *, monitor: Monitor | None = None) -> Located:
     with monitor.stage("load"):
         inputs = read_inputs(options, monitor=monitor)
     scene, cameras = inputs.scene, inputs.cameras
-    with replacing(options.out, keep=inputs.files) as folder:
+    identity = _identity(inputs)
+    with replacing(options.out, keep=inputs.files, identity=identity) as folder:
+        store = ArrayStore(views_of(folder), max_bytes=memory_limit(options.memory) // EXPANDED)
         result = locate(
             scene.gaussians,
             cameras,
@@ -101,6 +113,7 @@ def run_locate(options: Locate, *, monitor: Monitor | None = None) -> Located:
             config=inputs.estimator,
             prior=inputs.attributes,
             monitor=monitor,
+            store=store,
         )
         with monitor.stage("write"):
             write_results(folder, scene, cameras, result, monitor=monitor)
@@ -111,6 +124,21 @@ def run_locate(options: Locate, *, monitor: Monitor | None = None) -> Located:
             stages=monitor.summary(),
             seconds=monitor.elapsed(),
             warnings=[*inputs.warnings, *result.warnings],
+            visible_share=float(np.mean([mask.mean() for mask in result.masks.values()])),
         )
         write_report(folder, dataclasses.asdict(inputs.options), located, monitor=monitor)
     return dataclasses.replace(located, seconds=monitor.elapsed())
+
+
+def _identity(inputs: Inputs) -> str:
+    """Digest of all that determines the maps and the evidence of the views of a run."""
+    digest = hashlib.blake2b(digest_size=16)
+    with inputs.options.scene.open("rb") as file:
+        digest.update(hashlib.file_digest(file, hashlib.blake2b).digest())
+    for camera in inputs.cameras:
+        digest.update(repr((camera.name, camera.width, camera.height)).encode())
+        digest.update(np.asarray(camera.viewmat).tobytes() + np.asarray(camera.K).tobytes())
+    # Without a fingerprint, nothing is known about the outputs of another run.
+    detector = getattr(inputs.detector, "fingerprint", uuid.uuid4().hex)
+    digest.update(repr((detector, inputs.estimator.near, sorted(versions().items()))).encode())
+    return digest.hexdigest()

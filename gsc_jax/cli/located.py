@@ -2,8 +2,6 @@
 
 import dataclasses
 
-import numpy as np
-
 from gsc_jax.io.ply import PlyScene
 from gsc_jax.locate import Result
 from gsc_jax.scene import Camera
@@ -11,12 +9,13 @@ from gsc_jax.scene import Camera
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Located:
-    """A finished run of `locate`.
+    """A finished run of `locate`; the masks of the result are files in the folder by now.
 
     Attributes:
         cameras: The views that have a mask in the result.
         stages: Seconds and peak memory in MiB of each stage, reading and writing included.
         seconds: Wall time, reading and writing included.
+        visible_share: Tampered share of a view, averaged over the views.
     """
 
     scene: PlyScene
@@ -25,8 +24,4 @@ class Located:
     stages: dict[str, dict[str, float]]
     seconds: float
     warnings: list[str]
-
-    @property
-    def visible_share(self) -> float:
-        """Tampered share of a view, averaged over the views."""
-        return float(np.mean([mask.mean() for mask in self.result.masks.values()]))
+    visible_share: float

@@ -6,6 +6,8 @@ stdout; progress and, at the end, warnings go to stderr.
 """
 
 import argparse
+import dataclasses
+import errno
 import functools
 import importlib.metadata
 import io
@@ -44,6 +46,12 @@ COMMANDS: dict[str, type] = {
     "view": View,
     "demo": Demo,
 }
+ENVIRONMENT = (
+    *(errno.EACCES, errno.EPERM, errno.EROFS),
+    *(errno.ENOSPC, errno.EDQUOT, errno.EFBIG),
+    *(errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EIO, errno.ESTALE),
+)
+"""Numbers of errors of the machine: permissions, a full disk, limits, a failing device."""
 Answer = tuple[list[str], list[str]]
 """Lines for stdout, and warnings."""
 
@@ -81,6 +89,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader of stdout, such as `head`, has closed it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except OSError as error:
+        if not _is_outside(error, command):
+            raise
         return _refuse(f"{error.filename or 'a file'}: {error.strerror or error}")
     return 0
 
@@ -177,6 +187,21 @@ def _origin(command: Command | None, argv: Sequence[str], error: str) -> str:
     if not any(error.startswith(str(path)) for path in paths if path and str(path) not in argv):
         return ""
     return f" (given in {command.config}, whose paths are relative to the current folder)"
+
+
+def _is_outside(error: OSError, command: Command | None) -> bool:
+    """Whether an error comes from the machine or from an input path, and not from this program."""
+    if error.errno in ENVIRONMENT:
+        return True
+    if command is None or not isinstance(error.filename, str | bytes):
+        return False
+    given: list[Any] = []
+    for field in dataclasses.fields(command):
+        value = getattr(command, field.name)
+        if field.name != "out":
+            given += value if isinstance(value, tuple) else [value]
+    place = Path(os.fsdecode(error.filename)).absolute()
+    return any(place.is_relative_to(path.absolute()) for path in given if isinstance(path, Path))
 
 
 def _refuse(message: str) -> int:

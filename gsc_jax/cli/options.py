@@ -49,6 +49,7 @@ class SceneOptions:
         near: Near plane in world units; anything closer to a camera is not rendered.
         seed: Seed of everything random.
         no_cache: Do not use the cache folder of this user.
+        memory: Memory in GiB that a run may use; a file that expands to more is refused.
     """
 
     scene: Annotated[tyro.conf.Positional[Path], arg("SCENE.ply")]
@@ -59,6 +60,7 @@ class SceneOptions:
     near: Annotated[float, arg("DEPTH")] = NEAR
     seed: Annotated[int, arg("K")] = 0
     no_cache: Switch = False
+    memory: Annotated[float | None, arg("GIB", "half of the machine's")] = None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -23,7 +23,7 @@ from gsc_jax.cli.located import Located
 from gsc_jax.cli.pictures import contact_sheet, jpeg_path, overlay, write_jpeg
 from gsc_jax.cli.report.page import report_page
 from gsc_jax.cli.scene_input import evenly_spaced
-from gsc_jax.cli.staging import files_below
+from gsc_jax.cli.staging import FILES, files_below
 from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.io.cameras import save_cameras
 from gsc_jax.io.files import atomic
@@ -71,6 +71,20 @@ def write_results(
                 renders[camera.name] = image
             monitor.progress("write", done, len(cameras))
     _write_overview(folder / "overview.png", renders, result)
+
+
+def planned_outputs(cameras: Sequence[Camera]) -> list[str]:
+    """Every file that is written for these cameras, relative to the folder of results."""
+    paths = [
+        path_of(Path(folder), camera.name)
+        for camera in cameras
+        for path_of, folders in (
+            (image_path, ("masks", "detector")),
+            (jpeg_path, ("render", "overlay")),
+        )
+        for folder in folders
+    ]
+    return [*FILES, *(path.as_posix() for path in paths)]
 
 
 def write_report(

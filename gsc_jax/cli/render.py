@@ -1,23 +1,43 @@
-"""`gsc-jax render`: a PNG of the scene from each camera."""
+"""`gsc-jax render`: a PNG of the scene from each camera.
+
+The cameras of an orbit are written, too. render.json lists the files, so that the next run replaces
+these and no others.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path, PurePosixPath
 
 import jax
 import numpy as np
 
 from gsc_jax.cli.options import Render
+from gsc_jax.cli.outputs import versions, write_json
 from gsc_jax.cli.scene_input import check_numbers, choose_cameras, naming, read_scene
+from gsc_jax.cli.staging import (
+    earlier_outputs,
+    refuse_blocked,
+    refuse_foreign,
+    refuse_overlap,
+    replacing,
+)
 from gsc_jax.evidence.monitor import Monitor
-from gsc_jax.io.cameras import save_cameras
+from gsc_jax.io.cameras import camera_files, save_cameras
 from gsc_jax.io.masks import image_path, write_image
 from gsc_jax.render.visibility import check_views
-from gsc_jax.scene import InputError
+from gsc_jax.scene import Camera, InputError
 from gsc_jax.splat import render
+
+REPORT = "render.json"
+CAMERAS = "cameras.json"
 
 
 def run_render(options: Render, *, monitor: Monitor) -> tuple[list[str], list[str]]:
     """Render a scene file from its cameras; return lines to print, and warnings.
 
     Raises:
-        InputError: if an input is invalid or an image cannot be written.
+        InputError: if an input is invalid, an image cannot be written, or a file exists in its
+            place that is not from an earlier run.
     """
     warnings: list[str] = []
     check_numbers(options)
@@ -25,14 +45,30 @@ def run_render(options: Render, *, monitor: Monitor) -> tuple[list[str], list[st
         raise InputError(f"--background {options.background}: expected three numbers from 0 to 1")
     scene, cameras = read_scene(options, warnings, monitor)
     cameras = choose_cameras(options, cameras, warnings)
+    files = [options.scene, *(camera_files(options.cameras) if options.cameras else [])]
+    names = _planned(options, cameras)
+    refuse_overlap(options.out, files, written=names)
+    refuse_foreign(options.out, names, report=REPORT)
+    refuse_blocked(options.out, names)
     with naming(options.cameras or options.scene):
         warnings += check_views(scene.gaussians, cameras, near=options.near)
-    if options.cameras is None:
-        save_cameras(options.out / "cameras.json", cameras)
     gaussians = jax.device_put(scene.gaussians)
-    for done, camera in enumerate(cameras, start=1):
-        image, _ = render(gaussians, camera, background=options.background, near=options.near)
-        write_image(image_path(options.out, camera.name), np.asarray(image))
-        monitor.progress("render", done, len(cameras))
+    listed = {*names, *earlier_outputs(options.out, REPORT)}
+    places = sorted({PurePosixPath(name).parts[0] for name in listed} - {REPORT, CAMERAS})
+    with replacing(options.out, keep=files, report=REPORT, by_camera=places) as folder:
+        if options.cameras is None:
+            save_cameras(folder / CAMERAS, cameras)
+        for done, camera in enumerate(cameras, start=1):
+            image, _ = render(gaussians, camera, background=options.background, near=options.near)
+            write_image(image_path(folder, camera.name), np.asarray(image))
+            monitor.progress("render", done, len(cameras))
+        command = dataclasses.asdict(options)
+        write_json(folder / REPORT, {"command": command, "versions": versions(), "outputs": names})
     images = "1 image" if len(cameras) == 1 else f"{len(cameras)} images"
     return [f"{images} in {options.out}"], warnings
+
+
+def _planned(options: Render, cameras: Sequence[Camera]) -> list[str]:
+    """Every file that is written, relative to the folder of --out."""
+    images = [image_path(Path(), camera.name).as_posix() for camera in cameras]
+    return [*images, *([] if options.cameras else [CAMERAS]), REPORT]

@@ -5,46 +5,56 @@ changed since the run.
 """
 
 import dataclasses
-import json
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from gsc_jax.io.cameras import load_cameras
 from gsc_jax.io.files import existing_file
 from gsc_jax.io.ply import read_ply
-from gsc_jax.io.validation import one_line
+from gsc_jax.io.tables import read_table
+from gsc_jax.io.validation import brief, one_line
 from gsc_jax.scene import Camera, Gaussians, InputError
 
 AGAIN = "run gsc-jax locate again"
 
 
-class _View(BaseModel):
+Count = Annotated[int, Field(ge=0)]
+Share = Annotated[float, Field(ge=0, le=1)]
+
+
+class _Entries(BaseModel):
+    """Strict, because the values are used as they are in the file."""
+
+    model_config = ConfigDict(strict=True, allow_inf_nan=False)
+
+
+class _View(_Entries):
     name: str
-    width: int
-    height: int
+    width: Count
+    height: Count
 
 
-class _Config(BaseModel):
+class _Config(_Entries):
     threshold: float
-    near: float
+    near: Annotated[float, Field(gt=0)]
 
 
-class _Counts(BaseModel):
-    gaussians: int
-    tampered: int
+class _Counts(_Entries):
+    gaussians: Count
+    tampered: Count
 
 
-class _Report(BaseModel):
+class _Report(_Entries):
     """The entries of result.json that are read again; it has others, too."""
 
     config: _Config
     counts: _Counts
     per_view: list[_View]
-    tampered_share_of_views: float
-    verdict: float | None = None
+    tampered_share_of_views: Share
+    verdict: Share | None = None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -87,10 +97,13 @@ def read_results(folder: str | Path) -> Results:
     report = _read_report(folder)
     scene = read_ply(folder / "tamper.ply")
     tamper = read_by_row(folder / "tamper.npy", scene.total)[scene.rows]
+    if not ((tamper >= 0) & (tamper <= 1)).all():
+        raise InputError(f"{folder / 'tamper.npy'}: holds numbers outside [0, 1]; {AGAIN}")
     labels = read_by_row(folder / "labels.npy", scene.total)[scene.rows]
     cameras = load_cameras(existing_file(folder / "views.json", expected="the cameras of the run"))
     views = [(view["name"], view["width"], view["height"]) for view in report["per_view"]]
     for name, same in (
+        ("tamper.ply", report["counts"]["gaussians"] == len(scene.rows)),
         ("labels.npy", report["counts"]["tampered"] == np.count_nonzero(labels)),
         ("views.json", views == [(c.name, c.width, c.height) for c in cameras]),
     ):
@@ -117,16 +130,15 @@ def read_by_row(path: Path, total: int) -> np.ndarray:
     expected = f"a .npy of {total:,} numbers, one per row of the scene"
     existing_file(path, expected=expected)
     try:
-        values = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
-        raise InputError(f"{path}: damaged ({error}), expected {expected}") from error
-    if not isinstance(values, np.ndarray):  # an .npz
-        raise InputError(f"{path}: several arrays, expected {expected}")
+        # Mapped, so that a shape in the header that the file does not have allocates nothing.
+        values = np.lib.format.open_memmap(path, mode="r")
+    except Exception as error:  # a damaged header may raise anything
+        raise InputError(f"{path}: damaged ({brief(error)}), expected {expected}") from error
     if values.shape != (total,) or values.dtype.kind not in "biuf":
         raise InputError(
             f"{path}: holds {values.dtype} of shape {values.shape}, expected {expected}"
         )
-    return values
+    return np.array(values)
 
 
 def _read_report(folder: Path) -> dict[str, Any]:
@@ -134,10 +146,7 @@ def _read_report(folder: Path) -> dict[str, Any]:
     if not path.is_file():
         found = "holds no results of gsc-jax locate" if folder.is_dir() else "no such folder"
         raise InputError(f"{folder}: {found} (result.json); give the --out of a run")
-    try:
-        report = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"{path}: damaged ({error}); {AGAIN}") from error
+    report = read_table(path, remedy=AGAIN)
     try:
         _Report.model_validate(report)
     except ValidationError as error:

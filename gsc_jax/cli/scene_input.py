@@ -2,12 +2,12 @@
 
 import contextlib
 import math
-import signal
 from collections.abc import Iterator, Sequence
-from pathlib import Path
+from pathlib import Path, PurePath
 
 from gsc_jax.cli.options import SceneOptions
 from gsc_jax.evidence.monitor import Monitor
+from gsc_jax.io.allocation import memory_limit
 from gsc_jax.io.cameras import load_cameras
 from gsc_jax.io.masks import image_path
 from gsc_jax.io.ply import PlyScene, read_ply
@@ -24,8 +24,9 @@ def check_numbers(options: SceneOptions) -> None:
     """Refuse numbers outside their range before anything is read."""
     if options.views is not None and options.views < 1:
         raise InputError(f"--views {options.views}: expected at least one view")
-    for flag, value in (("scale", options.scale), ("near", options.near)):
-        if not (math.isfinite(value) and value > 0):
+    numbers = {"scale": options.scale, "near": options.near, "memory": options.memory}
+    for flag, value in numbers.items():
+        if value is not None and not (math.isfinite(value) and value > 0):
             raise InputError(f"--{flag} {value:g}: expected a positive number")
     if options.seed < 0:
         raise InputError(f"--seed {options.seed}: expected 0 or more")
@@ -40,7 +41,7 @@ def read_scene(
         InputError: if a file is invalid.
     """
     monitor.progress("load", 0, 2)
-    scene = read_ply(options.scene)
+    scene = read_ply(options.scene, max_bytes=memory_limit(options.memory))
     if scene.dropped:
         warnings.append(f"{options.scene}: {scene.dropped_summary}")
     if "tamper" in {p.name for element in scene.ply.elements for p in element.properties}:
@@ -48,18 +49,14 @@ def read_scene(
     monitor.progress("load", 1, 2)
     cameras = _read_cameras(options, scene.gaussians, warnings)
     with naming(options.cameras or options.scene):
-        _check_names(cameras)
+        check_names(cameras)
     monitor.progress("load", 2, 2)
     return scene, cameras
 
 
 def _read_cameras(options: SceneOptions, gaussians: Gaussians, warnings: list[str]) -> list[Camera]:
     if options.cameras is not None:
-        cameras = load_cameras(options.cameras)
-        # Importing pycolmap replaces the handler of SIGTERM behind Python's back.
-        handler = signal.getsignal(signal.SIGTERM)
-        with contextlib.suppress(ValueError):  # raised outside of the main thread
-            signal.signal(signal.SIGTERM, handler)
+        cameras = load_cameras(options.cameras, max_bytes=memory_limit(options.memory))
     else:
         count = options.views or ORBIT_VIEWS
         cameras = orbit_cameras(gaussians, count, seed=options.seed)
@@ -97,18 +94,26 @@ def evenly_spaced(cameras: Sequence[Camera], count: int) -> list[Camera]:
     return [cameras[i * len(cameras) // count] for i in range(count)]
 
 
-def _check_names(cameras: Sequence[Camera]) -> None:
-    """Refuse names of cameras that cannot name files, or name the same file."""
-    names: dict[Path, str] = {}
+def check_names(cameras: Sequence[Camera]) -> None:
+    """Refuse names of cameras that cannot name files, or name the same file or a file as a folder.
+
+    All commands that write a file per camera, .png or .jpg, read their cameras here.
+    """
+    names: dict[PurePath, str] = {}
     for camera in cameras:
-        if camera.name != camera.name.encode(errors="replace").decode():  # lone surrogates
-            raise InputError(f"camera {camera.name!r}: its name cannot name files; rename it")
         path = image_path("masks", camera.name)
         if path in names:
             raise InputError(
                 f"cameras {names[path]!r} and {camera.name!r}: differ only in slashes; rename one"
             )
         names[path] = camera.name
+    names |= {path.with_suffix(".jpg"): name for path, name in names.items()}
+    for path, name in names.items():
+        if folder := next((place for place in path.parents if place in names), None):
+            raise InputError(
+                f"cameras {names[folder]!r} and {name!r}: {folder.name!r} would be a file and a "
+                "folder; rename one"
+            )
 
 
 @contextlib.contextmanager

@@ -1,28 +1,30 @@
 """A folder of results that is written aside and moved into place when it is complete.
 
-A run that fails or is interrupted leaves the folder as it was. A run that succeeds replaces the
-files of the run before, including masks of cameras that it does not use, so that the files in the
-folder belong together. No other file is touched, and no input of the run.
+A run that fails or is interrupted leaves the results in the folder as they were. A run that
+succeeds replaces the files of the run before, including masks of cameras that it does not use, so
+that the files in the folder belong together. No other file is touched, and no input of the run.
 
-Old reports are removed first and new ones are moved last. If the process is killed while files are
-moved, the folder holds no report. A later run removes temporary folders that were left behind.
+Everything unfinished lies in `OUT/.unfinished`: a lock, so that one run at a time writes; the new
+results; arrays of views, with which a run of the same input continues; and from the moment at which
+all results are written, a journal of the files to move. A process that is killed while it moves
+them leaves the journal, and the next run begins by moving the rest.
 """
 
 import contextlib
 import json
 import shutil
-import tempfile
-import time
-from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator, Sequence
 from pathlib import Path, PurePosixPath
 
+import filelock
+
+from gsc_jax.io.tables import read_table
 from gsc_jax.scene import InputError
 
-UNFINISHED = ".unfinished-"
-"""Prefix of temporary folders."""
-ABANDONED_SECONDS = 24 * 3600
-"""Age at which a temporary folder is abandoned: no run takes a day without writing to it."""
+UNFINISHED = ".unfinished"
+"""Folder for everything unfinished, inside the folder of results."""
+LOCK, NEW, VIEWS, IDENTITY, JOURNAL = "lock", "new", "views", "views.txt", "journal.json"
+"""In it: the lock, the new results, the arrays of views and what they belong to, the journal."""
 OUTPUTS = {
     "overview.png": "a few views side by side",
     "render/": "renders of the views",
@@ -58,6 +60,33 @@ def refuse_overlap(
             raise InputError(f"{path}: the results would overwrite this input; give another --out")
 
 
+def earlier_outputs(out: Path, report: str) -> set[str]:
+    """Files in a folder that an earlier run has written, by its report or by its journal."""
+    listed: set[str] = set()
+    for path, key in ((out / report, "outputs"), (out / UNFINISHED / JOURNAL, "moved")):
+        with contextlib.suppress(InputError, LookupError, TypeError):
+            listed |= {str(PurePosixPath(name)) for name in read_table(path, remedy="")[key]}
+    return listed
+
+
+def refuse_foreign(out: Path, names: Sequence[str], *, report: str) -> None:
+    """Raise InputError if one of the files exists and is not from an earlier run."""
+    own = earlier_outputs(out, report)
+    for name in names:
+        if (out / name).exists() and name not in own:
+            raise InputError(
+                f"{out / name}: exists, and {report} does not list it as the output of an earlier "
+                "run; give another --out"
+            )
+
+
+def refuse_foreign_file(path: Path, mark: str) -> None:
+    """Raise InputError if a file exists and does not have a text at its beginning, as ours have."""
+    with contextlib.suppress(OSError), path.open("rb") as file:  # a folder is refused later
+        if mark.encode() not in file.read(4096):
+            raise InputError(f"{path}: exists and is not from an earlier run; choose another name")
+
+
 @contextlib.contextmanager
 def replacing(
     out: Path,
@@ -65,6 +94,7 @@ def replacing(
     keep: Sequence[Path] = (),
     report: str = "result.json",
     by_camera: Sequence[str] = BY_CAMERA,
+    identity: str | None = None,
 ) -> Iterator[Path]:
     """Provide a temporary folder whose files are moved to `out` if the block succeeds.
 
@@ -73,28 +103,38 @@ def replacing(
         keep: Files and folders that the run reads; none of them is removed as a leftover.
         report: The file that lists the `outputs`; it is moved last, after report.html.
         by_camera: Folders with a picture per camera, in which an earlier run may have left some.
+        identity: Of the arrays that the run keeps in `views_of` the provided folder. If the block
+            fails, they stay there for the next run of the same identity.
 
     Raises:
-        InputError: if `out` cannot be written to, or a folder exists where a file belongs.
+        InputError: if `out` cannot be written to, another run is writing to it, a folder exists
+            where a file belongs, or a folder inside it is a link.
     """
+    _refuse_links(out, by_camera)
     created = [place for place in (out, *out.parents) if not place.exists()]
+    work = out / UNFINISHED
     try:
-        folder = _temporary_folder(out)
-        try:
-            yield folder
-        except InputError as error:
-            raise InputError(str(error).replace(str(folder), str(out))) from error
-        else:
-            leftovers = _leftovers(out, report, by_camera, keep)
-            # In a thread: a signal interrupts the main thread, which then waits for the pool.
-            with ThreadPoolExecutor(1) as pool:
-                pool.submit(_publish, folder, out, report, leftovers).result()
-        finally:
-            shutil.rmtree(folder, ignore_errors=True)
+        with _locked(work):
+            with _naming(out):
+                _begin(work, out, identity)
+            try:
+                yield work / NEW
+                with _naming(out):
+                    _commit(work, out, _leftovers(out, report, by_camera, keep), report)
+                    shutil.rmtree(work / VIEWS, ignore_errors=True)
+            except InputError as error:
+                raise InputError(str(error).replace(str(work / NEW), str(out))) from error
+            finally:
+                _end(work, out)
     finally:
-        with contextlib.suppress(OSError):  # not empty: it holds results
-            for place in created:
+        with contextlib.suppress(OSError):  # not empty: it holds results, or arrays of views
+            for place in (work, *created):
                 place.rmdir()
+
+
+def views_of(folder: Path) -> Path:
+    """The folder for the arrays of views of a run, given what `replacing` provides."""
+    return folder.with_name(VIEWS)
 
 
 def files_below(folder: Path) -> list[str]:
@@ -103,36 +143,8 @@ def files_below(folder: Path) -> list[str]:
     return sorted(path.as_posix() for path in paths)
 
 
-def _temporary_folder(out: Path) -> Path:
-    """A new folder inside the folder of results, from which abandoned ones are removed."""
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        for folder in out.glob(f"{UNFINISHED}*"):
-            with contextlib.suppress(OSError):  # another run may be removing it, too
-                if time.time() - folder.stat().st_mtime > ABANDONED_SECONDS:
-                    shutil.rmtree(folder, ignore_errors=True)
-        return Path(tempfile.mkdtemp(prefix=UNFINISHED, dir=out))
-    except OSError as error:
-        raise _not_writable(out, error) from error
-
-
-def _publish(folder: Path, out: Path, report: str, leftovers: Iterable[str]) -> None:
-    """Remove old reports and leftovers, then move the new files into place."""
-    names = files_below(folder)
-    _refuse_blocked(out, names)
-    last = [name for name in ("report.html", report) if name in names]
-    try:
-        for name in [*reversed(last), *set(leftovers).difference(names)]:
-            (out / name).unlink(missing_ok=True)
-        for name in [*(name for name in names if name not in last), *last]:
-            (out / name).parent.mkdir(parents=True, exist_ok=True)
-            (folder / name).replace(out / name)
-    except OSError as error:
-        raise _not_writable(out, error) from error
-
-
-def _refuse_blocked(out: Path, names: Sequence[str]) -> None:
-    """Refuse folders where files belong, and files where folders belong."""
+def refuse_blocked(out: Path, names: Sequence[str]) -> None:
+    """Raise InputError for a folder where a file is to be written, or a file where a folder is."""
     folders = {out / place for name in names for place in PurePosixPath(name).parents}
     blocked = [out / name for name in names if (out / name).is_dir()]
     blocked += [place for place in sorted(folders) if place.exists() and not place.is_dir()]
@@ -141,31 +153,128 @@ def _refuse_blocked(out: Path, names: Sequence[str]) -> None:
         raise InputError(f"{blocked[0]}: is a {kind}, where the results would go; move it")
 
 
+def _refuse_links(out: Path, by_camera: Sequence[str]) -> None:
+    """Refuse links to folders where results are written: they may lead anywhere."""
+    folders = [out / name for name in (UNFINISHED, *by_camera)]
+    for place in [*folders, *(place for folder in folders for place in folder.rglob("*"))]:
+        if place.is_symlink() and not place.is_file():
+            raise InputError(
+                f"{place}: is a link, and results are written inside {out} only; remove the link"
+            )
+
+
+@contextlib.contextmanager
+def _locked(work: Path) -> Iterator[None]:
+    """Hold the lock of a folder of results; the system releases that of a process that ends."""
+    lock = filelock.FileLock(work / LOCK, timeout=0)
+    with _naming(work.parent):
+        work.mkdir(parents=True, exist_ok=True)
+        try:
+            lock.acquire()
+        except filelock.Timeout:
+            raise InputError(
+                f"{work.parent}: another run is writing its results there; wait for it, or give "
+                "another --out"
+            ) from None
+    try:
+        yield
+    finally:
+        if not any(path.name != LOCK for path in work.iterdir()):
+            (work / LOCK).unlink(missing_ok=True)
+        lock.release()
+
+
+def _begin(work: Path, out: Path, identity: str | None) -> None:
+    """Finish what a killed run has begun to move, and keep its views if they are of this run."""
+    _publish(work, out)
+    shutil.rmtree(work / NEW, ignore_errors=True)
+    known = work / IDENTITY
+    if identity is None or not known.exists() or known.read_text(encoding="utf-8") != identity:
+        shutil.rmtree(work / VIEWS, ignore_errors=True)
+        known.unlink(missing_ok=True)
+    if identity is not None:
+        _write(known, identity)
+    (work / NEW).mkdir()
+
+
+def _commit(work: Path, out: Path, leftovers: Sequence[str], report: str) -> None:
+    """Write the journal, from which on the run cannot fail any more, and move the files."""
+    names = files_below(work / NEW)
+    refuse_blocked(out, names)
+    last = [name for name in ("report.html", report) if name in names]
+    moved = [*(name for name in names if name not in last), *last]
+    removed = [*reversed(last), *(name for name in leftovers if name not in names)]
+    _write(work / JOURNAL, json.dumps({"moved": moved, "removed": removed}))
+    _publish(work, out)
+
+
+def _publish(work: Path, out: Path) -> None:
+    """Do what the journal says, or what is left of it.
+
+    Old reports are removed first and new ones moved last: a folder with a report is complete.
+    """
+    if not (work / JOURNAL).exists():
+        return
+    journal = read_table(work / JOURNAL, remedy=f"remove {work}")
+    moved, removed = journal["moved"], journal["removed"]
+    inside = out.resolve()
+    for name in (*moved, *removed):  # also in a folder that came from somebody else
+        if not (out / name).parent.resolve().is_relative_to(inside):
+            raise InputError(f"{out / name}: is not inside {out}; remove {work}")
+    waiting = [name for name in moved if (work / NEW / name).exists()]
+    for name in removed:
+        if name in waiting or name not in moved:
+            (out / name).unlink(missing_ok=True)
+    for name in waiting:
+        (out / name).parent.mkdir(parents=True, exist_ok=True)
+        (work / NEW / name).replace(out / name)
+    (work / JOURNAL).unlink()
+
+
+def _end(work: Path, out: Path) -> None:
+    """Remove what is not needed to continue."""
+    with contextlib.suppress(OSError):  # a full disk: the journal stays for the next run
+        _publish(work, out)
+        shutil.rmtree(work / NEW, ignore_errors=True)
+        if not (work / VIEWS).exists():
+            (work / IDENTITY).unlink(missing_ok=True)
+
+
+def _write(path: Path, text: str) -> None:
+    partial = path.with_suffix(".part")
+    partial.write_text(text, encoding="utf-8")
+    partial.replace(path)
+
+
 def _leftovers(out: Path, report: str, by_camera: Sequence[str], keep: Sequence[Path]) -> list[str]:
     """Pictures and scores of an earlier run, except inputs of this one.
 
     The old report may be damaged or of another program: only pictures in the folders count.
     """
-    try:
-        outputs = json.loads((out / report).read_text(encoding="utf-8"))["outputs"]
-        paths = [PurePosixPath(name) for name in outputs]
-    except (OSError, ValueError, LookupError, TypeError):
-        return []
-    names = [
-        str(path)
-        for path in paths
-        if path.suffix in PICTURES and path.parts[0] in by_camera and ".." not in path.parts
-    ]
-    names += [EVALUATION] if PurePosixPath("result.json") in paths else []
     inputs = [path.resolve() for path in keep]
-    return [
-        name
-        for name in names
-        if ((out / name).is_file() or (out / name).is_symlink())
-        and not any((out / name).resolve().is_relative_to(place) for place in inputs)
-    ]
+
+    def picture(path: PurePosixPath) -> bool:
+        return path.suffix in PICTURES and path.parts[0] in by_camera and ".." not in path.parts
+
+    def left(name: str) -> bool:
+        path = out / name
+        read = any(path.resolve().is_relative_to(place) for place in inputs)
+        return (path.is_file() or path.is_symlink()) and not read
+
+    try:
+        outputs = read_table(out / report, remedy="")["outputs"]
+        names = [name for name in outputs if picture(PurePosixPath(name))]
+        names += [EVALUATION] if "result.json" in outputs else []
+        return [name for name in names if left(name)]
+    except (InputError, OSError, ValueError, LookupError, TypeError):
+        return []
 
 
-def _not_writable(path: Path, error: OSError) -> InputError:
-    reason = error.strerror or error
-    return InputError(f"{path}: cannot be written to ({reason}); choose another place")
+@contextlib.contextmanager
+def _naming(out: Path) -> Iterator[None]:
+    """Turn errors of the file system into an InputError that names the folder of results."""
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or error
+        raise InputError(f"{out}: cannot be written to ({reason}); choose another place") from error

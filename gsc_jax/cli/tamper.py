@@ -24,8 +24,9 @@ from gsc_jax.cli.scene_input import (
     naming,
     read_scene,
 )
-from gsc_jax.cli.staging import files_below, refuse_overlap, replacing
+from gsc_jax.cli.staging import earlier_outputs, files_below, refuse_overlap, replacing
 from gsc_jax.evidence.monitor import Monitor
+from gsc_jax.io.allocation import memory_limit
 from gsc_jax.io.cameras import save_cameras
 from gsc_jax.io.masks import image_path, write_mask, write_probability
 from gsc_jax.io.ply import load_ply, save_ply
@@ -34,7 +35,7 @@ from gsc_jax.render.visibility import check_views
 from gsc_jax.scene import Camera, Gaussians, InputError
 from gsc_jax.splat import render
 
-OUTPUTS = ("scene.ply", "cameras.json", "labels.npy", "masks", "truth")
+OUTPUTS = ("scene.ply", "cameras.json", "labels.npy", "overview.png", "masks", "truth")
 OVERVIEW_ROWS = 4
 """Rows of overview.png: as many as fit on a screen."""
 
@@ -82,7 +83,7 @@ def _check(options: Tamper) -> list[Path]:
     if (options.out / "result.json").exists():
         raise InputError(f"{options.out}: holds results of `locate`; give another --out")
     existing = [name for name in OUTPUTS if (options.out / name).exists()]
-    if existing and not (options.out / "edit.json").exists():
+    if existing and "edit.json" not in earlier_outputs(options.out, "edit.json"):
         raise InputError(
             f"{options.out / existing[0]}: exists and is not from `tamper`; give another --out"
         )
@@ -98,7 +99,7 @@ def _donor(options: Tamper) -> Gaussians | None:
         return None
     if options.object is None:
         return make_object(seed=options.seed)
-    donor = load_ply(options.object)
+    donor = load_ply(options.object, max_bytes=memory_limit(options.memory))
     with _naming(options.object, "expected a .ply of one object"):
         extent(donor)
     return donor

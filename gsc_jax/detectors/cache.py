@@ -41,7 +41,7 @@ class CachedDetector:
         self.detector = detector
         self.folder = Path(folder)
         self.needs_image = detector.needs_image
-        self._key = key
+        self.fingerprint = key
         self._max_bytes = max_bytes
         self._failures: list[str] = []
 
@@ -56,7 +56,7 @@ class CachedDetector:
         """
         if image is None:
             return self.detector(image, camera)
-        diagnostics = getattr(self.detector, "diagnostics", {})
+        diagnostics = self.diagnostics
         entry = self._read(image)
         if entry is None:
             probability = np.asarray(self.detector(image, camera), np.float32)
@@ -66,6 +66,11 @@ class CachedDetector:
         if counts is not None:
             diagnostics[camera.name] = counts
         return probability
+
+    @property
+    def diagnostics(self) -> dict[str, Any]:
+        """Those of the detector."""
+        return getattr(self.detector, "diagnostics", {})
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -88,7 +93,7 @@ class CachedDetector:
         )
 
     def _digest(self, image: np.ndarray) -> str:
-        facts = f"{self._key} {image.shape} {image.dtype}".encode()
+        facts = f"{self.fingerprint} {image.shape} {image.dtype}".encode()
         return hashlib.blake2b(facts + image.tobytes(), digest_size=16).hexdigest()
 
     def _read(self, image: np.ndarray) -> tuple[np.ndarray, Any] | None:

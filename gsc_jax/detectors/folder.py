@@ -14,6 +14,7 @@ equally exact matches are an error. Names are case-sensitive, suffixes are not.
 
 import contextlib
 import functools
+import hashlib
 from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
@@ -34,13 +35,17 @@ class FolderDetector:
 
     needs_image = False
 
-    def __init__(self, path: str | Path):
+    def __init__(self, path: str | Path, *, max_bytes: int | None = None):
         """List the images of a folder and its subfolders, without reading them.
+
+        An image that takes more than `max_bytes` of memory is refused when it is read; see
+        `memory_limit` for the default.
 
         Raises:
             InputError: If the path is not a folder or contains no images.
         """
         self.path = Path(path)
+        self._max_bytes = max_bytes
         self._files = _image_files(self.path)
         self._index: dict[tuple[str, str], list[str]] = defaultdict(list)
         for file in self._files:
@@ -50,6 +55,13 @@ class FolderDetector:
             self._index["bare", bare].append(file)
             self._index["stem base", _base(stem)].append(file)
             self._index["bare base", _base(bare)].append(file)
+
+    @property
+    def fingerprint(self) -> str:
+        """Digest of the names, sizes and times of the files."""
+        facts = [(file, (self.path / file).stat()) for file in self._files]
+        facts = [(file, stat.st_size, stat.st_mtime_ns) for file, stat in facts]
+        return hashlib.blake2b(repr(facts).encode(), digest_size=16).hexdigest()
 
     def select(self, cameras: Sequence[Camera]) -> list[Camera]:
         """Cameras that have a mask, in their order.
@@ -80,7 +92,9 @@ class FolderDetector:
                 f"{self.path}: no mask for camera {camera.name!r}, expected "
                 f"{camera.name + '.png'!r}"
             )
-        return masks.read_probability(self.path / match[1], zero_one=self.zero_one)
+        return masks.read_probability(
+            self.path / match[1], zero_one=self.zero_one, max_bytes=self._max_bytes
+        )
 
     @functools.cached_property
     def zero_one(self) -> bool:
@@ -92,7 +106,7 @@ class FolderDetector:
         largest = 0
         for file in self._files:
             with contextlib.suppress(InputError):  # `__call__` reports it
-                grey = masks.read_grey(self.path / file)
+                grey = masks.read_grey(self.path / file, max_bytes=self._max_bytes)
                 largest = max(largest, int(grey.max()) if grey.dtype == np.uint8 else 0)
             if largest > 1:
                 break

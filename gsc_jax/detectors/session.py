@@ -1,7 +1,8 @@
 """Open ONNX models with onnxruntime, and report every failure as an `InputError`.
 
 A model can keep tensors in other files. onnxruntime refuses files outside the folder of the model
-(absolute paths, "..", links), which the package relies on: pyproject.toml requires 1.24.2 or newer.
+(absolute paths, "..", links), which the package relies on: pyproject.toml requires 1.27 or newer.
+Older versions read such files as values of sparse tensors.
 """
 
 from collections.abc import Sequence

@@ -5,7 +5,6 @@ net.onnx is its spec. `PRESETS` holds published networks, with values from their
 """
 
 import dataclasses
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -14,13 +13,17 @@ import pydantic
 from pydantic import Field
 
 from gsc_jax.io.files import existing_file
+from gsc_jax.io.tables import read_table
 from gsc_jax.io.validation import one_line
 from gsc_jax.scene import InputError
 
-Count = Annotated[int, Field(strict=True, gt=0)]
-Position = Annotated[int, Field(strict=True, ge=0)]
-Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
-PositiveNumber = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
+MAX_COUNT = 65_536
+"""Largest side of an input, number of outputs or channels: far beyond any network."""
+Count = Annotated[int, Field(strict=True, gt=0, le=MAX_COUNT)]
+Position = Annotated[int, Field(strict=True, ge=0, le=MAX_COUNT)]
+Number = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-1e9, le=1e9)]
+PositiveNumber = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1e-9, le=1e9)]
+"""The normalisation is computed in float32."""
 Probability = Annotated[float, Field(strict=True, gt=0, lt=1)]
 Size = Count | tuple[Count, Count] | None
 
@@ -109,12 +112,7 @@ PRESETS = {
 def read_spec(path: str | Path) -> OnnxSpec:
     """Read a spec from a TOML file, whose fields are optional; an invalid one raises InputError."""
     path = existing_file(path, expected="a detector spec (.toml)")
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:  # also of text that is not UTF-8
-        raise InputError(
-            f"{path}: is not valid TOML ({error}), expected fields of OnnxSpec, such as size = 512"
-        ) from error
+    table = read_table(path, remedy="expected fields of OnnxSpec, such as size = 512")
     return OnnxSpec.from_table(table, where=str(path))
 
 

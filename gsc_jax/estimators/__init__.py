@@ -37,22 +37,27 @@ METHODS: Mapping[str, Estimator] = {
 """Every method with its default configuration."""
 
 
-def configured(method: str, config: Estimator | None = None) -> Estimator:
+def configured(method: str | None = None, config: Estimator | None = None) -> Estimator:
     """The estimator of a method.
 
     Args:
-        method: A key of `METHODS`.
+        method: A key of `METHODS`; by default that of `config`, or else `robust`.
         config: Replaces the default configuration of the method, e.g.
             `dataclasses.replace(METHODS["paper"], epochs=1)`.
 
     Raises:
-        ValueError: if there is no such method, or the configuration is no estimator.
+        ValueError: if there is no such method, the configuration is no estimator, or it is that of
+            another method.
     """
-    if method not in METHODS:
+    if method is not None and method not in METHODS:
         raise ValueError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
-    if config is not None and not hasattr(config, "estimate"):
+    if config is None:
+        return METHODS[method or "robust"]
+    if not hasattr(config, "estimate"):
         raise ValueError(f"config must be an estimator, got {type(config).__name__}")
-    return config or METHODS[method]
+    if method not in (None, config.name):
+        raise ValueError(f"config is of the method {config.name!r}, got method {method!r}")
+    return config
 
 
 def estimate(
@@ -60,7 +65,7 @@ def estimate(
     cameras: Sequence[Camera],
     observation: Observation,
     *,
-    method: Method = "robust",
+    method: Method | None = None,
     config: Estimator | None = None,
     prior: Prior | None = None,
 ) -> Finding:
@@ -70,7 +75,7 @@ def estimate(
         gaussians: N Gaussians.
         cameras: The cameras of the observation, in its order.
         observation: Evidence and votes, from `observe`.
-        method: The estimator.
+        method: The estimator; by default that of `config`, or else `robust`.
         config: Replaces the default configuration of the method.
         prior: Probability per Gaussian from another source, such as `forensic_evidence`.
 
@@ -78,7 +83,8 @@ def estimate(
         Scores and labels.
 
     Raises:
-        ValueError: if the method is unknown, or the observation is of other Gaussians or cameras.
+        ValueError: if the method is unknown or not that of the configuration, or the observation is
+            of other Gaussians or cameras.
     """
     estimator = configured(method, config)
     names = [camera.name for camera in observation.cameras]

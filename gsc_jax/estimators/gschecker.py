@@ -7,13 +7,20 @@ threshold.
 """
 
 import dataclasses
-import math
-import typing
 from typing import Literal
 
 import numpy as np
 
-from gsc_jax.estimators.protocol import DISAGREEMENT, Estimator, Finding, Prior, unanimous
+from gsc_jax.estimators.protocol import (
+    BELOW_1,
+    DISAGREEMENT,
+    MAX_SEED,
+    Estimator,
+    Finding,
+    Prior,
+    check_fields,
+    unanimous,
+)
 from gsc_jax.evidence.masks import MaskRule, normalise
 from gsc_jax.evidence.observation import Observation
 from gsc_jax.loop import LoopConfig, fit, fit_rendered, resolved, view_order
@@ -29,6 +36,15 @@ ATTRIBUTES = {
     "official": official_attributes,
     "standardised": standardised_attributes,
 }
+
+
+RANGES = {
+    "epochs": (1, 1000),
+    "seed": (0, MAX_SEED),
+    "threshold": (0.0, BELOW_1),
+    "near": (1e-9, 1e9),
+}
+"""Smallest and largest valid value of the numeric fields; integers where the field is one."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -69,23 +85,12 @@ class GSChecker(Estimator):
         for option, known in (
             ("consensus", tuple(CONSENSUS)),
             ("attributes", tuple(ATTRIBUTES)),
-            ("mask_rule", typing.get_args(MaskRule)),
             ("path", ("evidence", "rendered")),
         ):
             if getattr(self, option) not in known:
                 found = getattr(self, option)
                 raise ValueError(f"{option} must be one of {', '.join(known)}, got {found!r}")
-        for name, valid, expected in (
-            ("epochs", self.epochs >= 1, "at least 1"),
-            ("threshold", 0 <= self.threshold < 1, "in [0, 1)"),
-            ("near", 0 < self.near < math.inf, "above 0"),
-        ):
-            if not valid:
-                raise ValueError(f"{name} must be {expected}, got {getattr(self, name)}")
-        # Not in `LoopConfig`, whose fields may be traced.
-        for name in ("lambda1", "lambda2", "beta", "gamma", "learning_rate"):
-            if not 0 <= (value := getattr(self.loop, name)) < math.inf:
-                raise ValueError(f"{name} must be 0 or more, got {value}")
+        check_fields(self, RANGES)
 
     def for_views(self, views: int) -> "GSChecker":
         """Fill in the iteration at which the 3D loss joins."""

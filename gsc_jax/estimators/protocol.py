@@ -2,11 +2,13 @@
 
 import abc
 import dataclasses
+import typing
+from collections.abc import Mapping
 from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
-from gsc_jax.evidence.lifting import Evidence
+from gsc_jax.evidence.lifting import EvidenceOfViews
 from gsc_jax.evidence.masks import MaskRule
 from gsc_jax.evidence.observation import Observation
 
@@ -15,6 +17,10 @@ Reliability = Literal["reliable", "uninformative", "inverted", "unseen"]
 everything else, or the view does not show them."""
 DISAGREEMENT = "Pixels were flagged, but the views agree on no tampered Gaussian."
 """Warning of an estimator that labels nothing although masks are not empty."""
+BELOW_1 = float(np.nextafter(1, 0))
+"""Largest number below 1, the upper bound of a threshold."""
+MAX_SEED = 2**32 - 1
+"""Largest seed that both NumPy and JAX accept."""
 NONE_FLAGGED = "All masks are empty."
 ALL_FLAGGED = "The masks cover everything in every view."
 
@@ -46,6 +52,8 @@ class Prior:
             if not isinstance(getattr(self, name), np.ndarray):
                 found = type(getattr(self, name)).__name__
                 raise ValueError(f"{name} must be a NumPy array, got {found}")
+        if self.probability.ndim != 1:
+            raise ValueError(f"probability must have shape (N,), got {self.probability.shape}")
         if not 0 <= self.verdict <= 1:
             raise ValueError(f"verdict must be in [0, 1], got {self.verdict}")
         within = (self.probability >= 0) & (self.probability <= 1)
@@ -74,6 +82,9 @@ class Finding:
         reliability: Reliability of the mask of each view, in the order of the cameras; empty if the
             estimator infers none.
         warnings: Sentences for the user.
+
+    Raises:
+        ValueError: if a score or an attribute is not finite.
     """
 
     tamper: np.ndarray
@@ -83,6 +94,11 @@ class Finding:
     verdict: float | None = None
     reliability: tuple[Reliability, ...] = ()
     warnings: list[str]
+
+    def __post_init__(self) -> None:
+        """Refuse NaN: a comparison with it would silently label nothing."""
+        if not (np.isfinite(self.tamper).all() and np.isfinite(self.attribute).all()):
+            raise ValueError("scores are not finite; are evidence, prior and weights finite?")
 
 
 class Estimator(abc.ABC):
@@ -133,7 +149,25 @@ class Estimator(abc.ABC):
         return self
 
 
-def unanimous(evidence: Evidence) -> Finding | None:
+def check_fields(estimator: Estimator, ranges: Mapping[str, tuple[float, float]]) -> None:
+    """Raise ValueError for an unknown mask rule, and for numbers outside of their closed ranges.
+
+    Where both bounds are integers, the number must be one, too.
+    """
+    rules = typing.get_args(MaskRule)
+    if estimator.mask_rule not in rules:
+        raise ValueError(
+            f"mask_rule must be one of {', '.join(rules)}, got {estimator.mask_rule!r}"
+        )
+    for name, (least, most) in ranges.items():
+        value, whole = getattr(estimator, name), isinstance(least, int)
+        if not least <= value <= most or (whole and not isinstance(value, int | np.integer)):
+            kind = "a whole number " if whole else ""
+            bounds = f"[{least:g}, 1)" if most == BELOW_1 else f"[{least:g}, {most:g}]"
+            raise ValueError(f"{name} must be {kind}in {bounds}, got {value}")
+
+
+def unanimous(evidence: EvidenceOfViews) -> Finding | None:
     """Finding for masks that are all empty or all full, from which nothing can be estimated.
 
     Args:

@@ -18,7 +18,8 @@ class Detector(Protocol):
     """A 2D tampering detector.
 
     It may have an attribute `warnings`, a sequence of sentences for the user that `locate` passes
-    on.
+    on, and `diagnostics`, a dictionary by camera name that they are made from: `observe` puts the
+    entries of views back that an interrupted run has judged.
     """
 
     @property

@@ -3,9 +3,15 @@
 The 2D loss (GS-Checker, eq. 10) is linear in the attribute, so its gradient
 W^t (lambda2 (1 - M) - lambda1 M) is a combination of these two sums and constant: the whole
 optimisation needs no rendering beyond one `accumulate` per view.
+
+A view shows a small part of a large scene. `SparseEvidence` holds only that part; the zeros that it
+leaves out are exact, so estimates from it are the same.
 """
 
+import abc
+import dataclasses
 import functools
+from collections.abc import Iterator, Sequence
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,8 +21,53 @@ from gsc_jax.scene import Array, pytree
 from gsc_jax.splat import accumulate
 
 
+class EvidenceOfViews(abc.ABC):
+    """What estimators read: the evidence of V views of N Gaussians, by view or by Gaussian."""
+
+    @property
+    @abc.abstractmethod
+    def shape(self) -> tuple[int, int]:
+        """V and N."""
+
+    @abc.abstractmethod
+    def view(self, index: int) -> "Evidence":
+        """Evidence of one view, shapes (N,)."""
+
+    @abc.abstractmethod
+    def of(self, rows: np.ndarray | slice) -> tuple[np.ndarray, np.ndarray]:
+        """Total and tampered weight of M of the Gaussians in all views, shapes (V, M)."""
+
+    def views(self) -> Iterator["Evidence"]:
+        """Evidence view by view: that of large scenes must not be loaded as a whole."""
+        return (self.view(index) for index in range(self.shape[0]))
+
+    @property
+    def seen(self) -> np.ndarray:
+        """Mask of the Gaussians with weight in at least one view, shape (N,) bool."""
+        unseen = np.zeros(self.shape[1], bool)
+        return functools.reduce(
+            np.logical_or, (np.asarray(v.total) > 0 for v in self.views()), unseen
+        )
+
+    @property
+    def weight(self) -> np.ndarray:
+        """Blending weight summed over the views, shape (N,) float32."""
+        nothing = np.zeros(self.shape[1], np.float32)
+        return functools.reduce(np.add, (np.asarray(v.total) for v in self.views()), nothing)
+
+    @property
+    def none_flagged(self) -> bool:
+        """Whether no mask covers any of the weight."""
+        return not any(np.any(view.tampered) for view in self.views())
+
+    @property
+    def all_flagged(self) -> bool:
+        """Whether the masks cover all of the weight."""
+        return all(np.array_equal(view.total, view.tampered) for view in self.views())
+
+
 @pytree
-class Evidence:
+class Evidence(EvidenceOfViews):
     """Blending weight of each Gaussian, in total and inside the masks, 0 <= tampered <= total.
 
     Attributes:
@@ -28,23 +79,71 @@ class Evidence:
     tampered: Array
 
     @property
-    def seen(self) -> np.ndarray:
-        """Mask of the Gaussians with weight in at least one view, shape (N,) bool."""
-        views = np.atleast_2d(np.asarray(self.total))
-        # One view at a time: evidence on disk must not be loaded into memory as a whole.
-        unseen = np.zeros(views.shape[1], bool)
-        return functools.reduce(np.logical_or, (view > 0 for view in views), unseen)
+    def shape(self) -> tuple[int, int]:
+        """V and N; V is 1 for the evidence of one view."""
+        views, count = np.shape(jnp.atleast_2d(self.total))
+        return views, count
+
+    def view(self, index: int) -> "Evidence":
+        """Evidence of one view, shapes (N,)."""
+        if np.ndim(self.total) == 1:
+            return self
+        return Evidence(total=self.total[index], tampered=self.tampered[index])
+
+    def of(self, rows: np.ndarray | slice) -> tuple[np.ndarray, np.ndarray]:
+        """Total and tampered weight of M of the Gaussians in all views, shapes (V, M)."""
+        return np.asarray(self.total)[:, rows], np.asarray(self.tampered)[:, rows]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class SparseEvidence(EvidenceOfViews):
+    """Evidence without the Gaussians that a view does not show.
+
+    Attributes:
+        entries: What `sparse` returns, for each of V views; they may be read from files.
+        count: Number of Gaussians N.
+    """
+
+    entries: Sequence[np.ndarray]
+    count: int
 
     @property
-    def none_flagged(self) -> bool:
-        """Whether no mask covers any of the weight."""
-        return not any(np.any(view) for view in np.asarray(self.tampered))
+    def shape(self) -> tuple[int, int]:
+        """V and N."""
+        return len(self.entries), self.count
+
+    def view(self, index: int) -> Evidence:
+        """Evidence of one view, shapes (N,)."""
+        rows, total, tampered = self.entries[index]
+        both = np.zeros((2, self.count), np.float32)
+        both[:, rows] = np.stack([total, tampered]).view(np.float32)
+        return Evidence(total=both[0], tampered=both[1])
+
+    def of(self, rows: np.ndarray | slice) -> tuple[np.ndarray, np.ndarray]:
+        """Total and tampered weight of M of the Gaussians in all views, shapes (V, M)."""
+        wanted = np.arange(self.count)[rows]
+        both = np.zeros((2, len(self.entries), len(wanted)), np.float32)
+        for view, entries in enumerate(self.entries):
+            at, weights = _find(entries, wanted, consecutive=isinstance(rows, slice))
+            both[:, view, at] = weights.view(np.float32)
+        return both[0], both[1]
 
     @property
-    def all_flagged(self) -> bool:
-        """Whether the masks cover all of the weight."""
-        views = zip(np.asarray(self.total), np.asarray(self.tampered), strict=True)
-        return all(np.array_equal(total, tampered) for total, tampered in views)
+    def total(self) -> np.ndarray:
+        """Weight in pixels, shape (V, N) float32: 4 V N bytes, made anew whenever it is asked."""
+        return self.of(slice(None))[0]
+
+    @property
+    def tampered(self) -> np.ndarray:
+        """Weight inside the masks, shape (V, N) float32: 4 V N bytes, made anew."""
+        return self.of(slice(None))[1]
+
+    def expanded(self, max_bytes: int) -> EvidenceOfViews:
+        """`Evidence`, which is faster to read, if it needs at most `max_bytes`; else this."""
+        if 8 * len(self.entries) * self.count > max_bytes:
+            return self
+        total, tampered = self.of(slice(None))
+        return Evidence(total=total, tampered=tampered)
 
 
 def view_evidence(view: View, mask: Array) -> Evidence:
@@ -60,3 +159,30 @@ def view_evidence(view: View, mask: Array) -> Evidence:
     mask = jnp.asarray(mask, jnp.float32)
     total, tampered = accumulate(view, jnp.stack([jnp.ones_like(mask), mask], axis=-1)).T
     return Evidence(total=total, tampered=jnp.minimum(tampered, total))
+
+
+def sparse(evidence: Evidence) -> np.ndarray:
+    """The Gaussians with any weight in a view, of evidence (N,).
+
+    Returns:
+        Their rows, ascending, and the bits of total and of tampered, shape (3, M) int32: 12 bytes
+        for a visible Gaussian instead of 8 for each.
+    """
+    total, tampered = np.asarray(evidence.total), np.asarray(evidence.tampered)
+    rows = np.flatnonzero(total).astype(np.int32)
+    return np.stack([rows, total[rows].view(np.int32), tampered[rows].view(np.int32)])
+
+
+def _find(
+    entries: np.ndarray, wanted: np.ndarray, *, consecutive: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Which of the wanted rows a view shows, (K,), and the bits of their evidence, (2, K)."""
+    rows = entries[0]
+    if not (len(rows) and len(wanted)):
+        return np.zeros(0, int), np.zeros((2, 0), np.int32)
+    if consecutive:  # only this part of a file is read
+        start, end = np.searchsorted(rows, [wanted[0], wanted[-1] + 1])
+        return rows[start:end] - wanted[0], np.ascontiguousarray(entries[1:, start:end])
+    place = np.minimum(np.searchsorted(rows, wanted), len(rows) - 1)
+    at = np.flatnonzero(rows[place] == wanted)
+    return at, np.ascontiguousarray(entries[1:, place[at]])

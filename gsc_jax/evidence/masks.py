@@ -6,6 +6,7 @@ views without the object; that rule is available as `per-view` for comparison.
 """
 
 import dataclasses
+import typing
 from typing import Literal, NamedTuple, Protocol
 
 import jax
@@ -15,7 +16,7 @@ import numpy as np
 from gsc_jax.render.projection import NEAR
 from gsc_jax.render.tiles import make_view, restricted
 from gsc_jax.scene import Array, Camera, Gaussians
-from gsc_jax.splat import composite_with_alpha
+from gsc_jax.splat import composite_with_alpha, require_finite
 
 MaskRule = Literal["share", "attribute", "per-view"]
 MIN_COVERAGE = 0.1
@@ -77,7 +78,16 @@ def view_mask(
 
     Returns:
         Boolean, shape (H, W); false where the scene is transparent.
+
+    Raises:
+        ValueError: if there is no such rule, the threshold is outside of [0, 1), or the near plane
+            is not positive.
     """
+    if rule not in typing.get_args(MaskRule):
+        known = ", ".join(typing.get_args(MaskRule))
+        raise ValueError(f"rule must be one of {known}, got {rule!r}")
+    if not 0 <= threshold < 1:
+        raise ValueError(f"threshold must be in [0, 1), got {threshold}")
     if rule == "per-view":
         return _per_view_mask(gaussians, camera, scored, threshold=threshold, near=near)
     feature, level = (scored.labels, 0.5) if rule == "share" else (scored.tamper, threshold)
@@ -98,8 +108,13 @@ def rendered_share(
     Returns:
         Mean of the feature over the blending weights of each pixel, shape (H, W); 0 where alpha is
         0.1 or less.
+
+    Raises:
+        ValueError: if the feature has not N numbers, or one is not finite.
     """
-    feature = jnp.asarray(feature, jnp.float32)
+    feature = require_finite("feature", jnp.asarray(feature, jnp.float32))
+    if feature.shape != (len(gaussians),):
+        raise ValueError(f"feature must have shape ({len(gaussians)},), got {feature.shape}")
     view = restricted(make_view(gaussians, camera, near=near), np.asarray(feature) != 0)
     image, alpha = composite_with_alpha(view, feature[:, None])
     covered = alpha > MIN_COVERAGE
@@ -109,8 +124,9 @@ def rendered_share(
 def _per_view_mask(
     gaussians: Gaussians, camera: Camera, scored: Scored, *, threshold: float, near: float
 ) -> np.ndarray:
+    tamper = require_finite("tamper", jnp.asarray(scored.tamper))
     # Removing the other Gaussians would change N and recompile everything for every result.
     logits = jnp.where(jnp.asarray(scored.labels), gaussians.logit_opacities, -jnp.inf)
     view = make_view(dataclasses.replace(gaussians, logit_opacities=logits), camera, near=near)
-    image = composite_with_alpha(view, jnp.asarray(scored.tamper)[:, None])[0][..., 0]
+    image = composite_with_alpha(view, tamper[:, None])[0][..., 0]
     return np.asarray((image > threshold * jnp.max(image)) & (image > 0))

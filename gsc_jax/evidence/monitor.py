@@ -24,7 +24,7 @@ class Monitor:
         self.seconds: dict[str, float] = {}
         self.peak_mib: dict[str, float] = {}
         self._progress = progress
-        self._window: tuple[int, int] | None = None
+        self._expected: int | None = None
         self._lock = threading.Lock()
         self._start = time.perf_counter()
 
@@ -43,17 +43,16 @@ class Monitor:
     def progress(self, stage: str, done: int, total: int) -> None:
         """Report that `done` of `total` items of a stage are finished."""
         if self._progress is not None:
-            start, total = self._window or (0, total)
-            self._progress(stage, start + done, total)
+            self._progress(stage, done, self._expected or total)
 
     @contextlib.contextmanager
-    def batch(self, start: int, total: int) -> Iterator[None]:
-        """Report the progress inside a block as that of a batch of a larger number of items."""
-        self._window = (start, total)
+    def expecting(self, total: int) -> Iterator[None]:
+        """Report the progress inside a block as the first part of a larger number of items."""
+        self._expected = total
         try:
             yield
         finally:
-            self._window = None
+            self._expected = None
 
     def elapsed(self) -> float:
         """Wall time since this monitor was made, in seconds."""

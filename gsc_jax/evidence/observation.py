@@ -7,6 +7,7 @@ start from it.
 
 import dataclasses
 import functools
+import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -15,15 +16,19 @@ import jax
 import numpy as np
 
 from gsc_jax.evidence.detector import Detector, as_detector, fit_to_view
-from gsc_jax.evidence.lifting import Evidence, view_evidence
+from gsc_jax.evidence.lifting import EvidenceOfViews, SparseEvidence, sparse, view_evidence
 from gsc_jax.evidence.monitor import Monitor
-from gsc_jax.evidence.storage import blank_evidence
+from gsc_jax.evidence.storage import ArrayStore, ByView
 from gsc_jax.render.projection import NEAR, project, project_centers
 from gsc_jax.render.tiles import View, bin_view
 from gsc_jax.scene import Camera, Gaussians, InputError
 from gsc_jax.scene.parallel import WORKERS, bounded_map
 from gsc_jax.splat import render_view
 from gsc_jax.vote import Tally, cast_votes, no_votes, tally
+
+MAP, EVIDENCE, DIAGNOSTICS = "map", "evidence", "diagnostics"
+"""Kinds of arrays of a view in a store: the probability map, what `sparse` returns, and the entry
+of the view in the `diagnostics` of the detector, as JSON."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -34,17 +39,23 @@ class Observation:
         gaussians: N Gaussians.
         cameras: The V cameras.
         evidence: Blending weights of the V views, shapes (V, N).
-        votes: Tally of the votes of all views, shapes (N,).
         masks: Thresholded probability maps, (H, W) bool, by camera name.
         probabilities: Probability maps of the detector, (H, W) float16, by camera name.
     """
 
     gaussians: Gaussians
     cameras: tuple[Camera, ...]
-    evidence: Evidence
-    votes: Tally
-    masks: dict[str, np.ndarray]
-    probabilities: dict[str, np.ndarray]
+    evidence: EvidenceOfViews
+    masks: Mapping[str, np.ndarray]
+    probabilities: Mapping[str, np.ndarray]
+
+    @functools.cached_property
+    def votes(self) -> Tally:
+        """Tally of the votes of all views (GS-Checker, eq. 5), shapes (N,)."""
+        votes = no_votes(len(self.gaussians))
+        for camera in self.cameras:
+            votes += votes_of_view(self.gaussians, camera, self.masks[camera.name])
+        return votes
 
 
 def observe(
@@ -53,7 +64,7 @@ def observe(
     detector: Detector | Callable[[np.ndarray], Any] | Mapping[str, Any],
     *,
     near: float = NEAR,
-    evidence: Evidence | None = None,
+    store: ArrayStore | None = None,
     monitor: Monitor | None = None,
 ) -> Observation:
     """Render a scene from every camera, run the detector, lift its masks by voting and splatting.
@@ -63,7 +74,8 @@ def observe(
         cameras: V cameras, for all of which the detector has an output.
         detector: A 2D detector, a function of the image, or probability maps by camera name.
         near: Near plane in world units.
-        evidence: Arrays (V, N) to write to; new ones by default.
+        store: Where the maps and the evidence of the views are kept; a new one by default. Views
+            that it holds are neither judged nor lifted again.
         monitor: Records the time of each stage and the progress over views.
 
     Returns:
@@ -75,55 +87,58 @@ def observe(
     """
     check_cameras(cameras)
     monitor, detector = monitor or Monitor(), as_detector(detector)
-    evidence = evidence or blank_evidence(len(cameras), len(gaussians))
-    masks, probabilities = {}, {}
+    names = tuple(camera.name for camera in cameras)
+    store = store or ArrayStore()
+    missing = [camera for camera in cameras if not store.has(EVIDENCE, camera.name)]
+    diagnostics = _restored(getattr(detector, "diagnostics", {}), names, store)
 
-    prepare = functools.partial(_prepare, gaussians, detector.needs_image, near, monitor)
+    def prepare(camera: Camera) -> tuple[View, np.ndarray | None]:
+        image = detector.needs_image and not store.has(MAP, camera.name)
+        return _prepare(gaussians, camera, monitor, near=near, image=image)
 
-    def detect() -> Iterator[tuple[int, View]]:
+    def detect() -> Iterator[tuple[Camera, View]]:
         # The detector runs in this thread only, since a user's function need not be thread-safe.
-        prepared = bounded_map(pool, prepare, cameras)
-        for index, (camera, (view, image)) in enumerate(zip(cameras, prepared, strict=True)):
-            with monitor.stage("detect"):
-                probability = fit_to_view(detector(image, camera), camera)
-            masks[camera.name] = probability > 0.5
-            probabilities[camera.name] = probability.astype(np.float16)
-            yield index, view
+        prepared = bounded_map(pool, prepare, missing)
+        for camera, (view, image) in zip(missing, prepared, strict=True):
+            if not store.has(MAP, camera.name):
+                with monitor.stage("detect"):
+                    probability = fit_to_view(detector(image, camera), camera)
+                found = json.dumps(diagnostics.get(camera.name)).encode()
+                store.put(DIAGNOSTICS, camera.name, np.frombuffer(found, np.uint8))
+                store.put(MAP, camera.name, half_precision(probability))
+            yield camera, view
 
-    def lift(job: tuple[int, View]) -> Tally:
-        index, view = job
-        camera, mask = cameras[index], masks[cameras[index].name]
+    def lift(job: tuple[Camera, View]) -> None:
+        camera, view = job
         with monitor.stage("lift"):
-            lifted = view_evidence(view, mask)
-            evidence.total[index], evidence.tampered[index] = lifted.total, lifted.tampered
-        with monitor.stage("vote"):
-            return votes_of_view(gaussians, camera, mask)
+            mask = store.get(MAP, camera.name) > 0.5
+            store.put(EVIDENCE, camera.name, sparse(view_evidence(view, mask)))
 
-    votes = no_votes(len(gaussians))
-    monitor.progress("views", 0, len(cameras))  # shows the bar before a slow first view ends
+    # Shown before a slow first view ends.
+    monitor.progress("views", len(cameras) - len(missing), len(cameras))
     with ThreadPoolExecutor(WORKERS) as pool:
-        for done, counts in enumerate(bounded_map(pool, lift, detect()), start=1):
-            votes = votes + counts
+        lifted = enumerate(bounded_map(pool, lift, detect()), len(cameras) - len(missing) + 1)
+        for done, _ in lifted:
             monitor.progress("views", done, len(cameras))
+    evidence = SparseEvidence(entries=_Stored(store, names), count=len(gaussians))
     return Observation(
         gaussians=gaussians,
         cameras=tuple(cameras),
-        evidence=evidence,
-        votes=votes,
-        masks=masks,
-        probabilities=probabilities,
+        evidence=evidence.expanded(store.max_bytes),
+        masks=ByView(names, lambda name: store.get(MAP, name) > 0.5),
+        probabilities=ByView(names, lambda name: np.array(store.get(MAP, name))),
     )
 
 
 def _prepare(
-    gaussians: Gaussians, needs_image: bool, near: float, monitor: Monitor, camera: Camera
+    gaussians: Gaussians, camera: Camera, monitor: Monitor, *, near: float, image: bool
 ) -> tuple[View, np.ndarray | None]:
-    """Project and bin a view, and render it if the detector needs the image (H, W, 3)."""
+    """Project and bin a view, and render it for the detector, (H, W, 3), if it needs that."""
     with monitor.stage("project"):
         splats = jax.block_until_ready(project(gaussians, camera, near=near))
     with monitor.stage("bin"):
         view = bin_view(splats, camera)
-    if not needs_image:
+    if not image:
         return view, None
     with monitor.stage("render"):
         return view, np.asarray(render_view(view, gaussians, camera)[0])
@@ -147,24 +162,32 @@ def votes_of_view(gaussians: Gaussians, camera: Camera, mask: np.ndarray) -> Tal
     return jax.block_until_ready(tally(cast_votes(centers, depths, mask)[None]))
 
 
-def joined(parts: Sequence[Observation], evidence: Evidence) -> Observation:
-    """Join observations of one scene from different cameras.
+def _restored(
+    diagnostics: dict[str, Any], names: Sequence[str], store: ArrayStore
+) -> dict[str, Any]:
+    """Put the diagnostics of the views that were judged before back into those of a detector."""
+    for name in names:
+        if store.has(MAP, name):
+            diagnostics[name] = json.loads(bytes(store.get(DIAGNOSTICS, name)))
+    return diagnostics
 
-    Args:
-        parts: At least one observation.
-        evidence: Evidence of all their views, in their order.
 
-    Returns:
-        One observation of all views.
-    """
-    votes = parts[0].votes
-    for part in parts[1:]:
-        votes = votes + part.votes
-    return Observation(
-        gaussians=parts[0].gaussians,
-        cameras=tuple(camera for part in parts for camera in part.cameras),
-        evidence=evidence,
-        votes=votes,
-        masks={name: mask for part in parts for name, mask in part.masks.items()},
-        probabilities={k: v for part in parts for k, v in part.probabilities.items()},
-    )
+def half_precision(probability: np.ndarray) -> np.ndarray:
+    """Round a probability map to float16, without moving a pixel across the threshold of 0.5."""
+    rounded = probability.astype(np.float16)
+    above = np.nextafter(np.float16(0.5), np.float16(1))
+    return np.where(probability > 0.5, np.maximum(rounded, above), rounded)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Stored(Sequence[np.ndarray]):
+    """Sparse evidence of views, read when it is asked for."""
+
+    store: ArrayStore
+    names: tuple[str, ...]
+
+    def __getitem__(self, index: int) -> np.ndarray:  # pyright: ignore[reportIncompatibleMethodOverride]
+        return self.store.get(EVIDENCE, self.names[index])
+
+    def __len__(self) -> int:
+        return len(self.names)

@@ -1,57 +1,120 @@
-"""Evidence that is larger than memory: arrays in an unnamed temporary file."""
+"""Arrays of the views of a run: in memory up to a bound, in files beyond it.
 
-import os
+A store in a given folder keeps everything in files, so that a run that was killed can be continued:
+what is in the store is complete, and need not be computed again.
+"""
+
+import hashlib
+import shutil
 import tempfile
+import threading
+import weakref
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
 
 import numpy as np
 
-from gsc_jax.evidence.lifting import Evidence
 from gsc_jax.scene import InputError
 
 MAX_BYTES_IN_MEMORY = 2**30
-"""Evidence up to this size is kept in memory: a small part of the memory of today's machines."""
+"""Arrays up to this size in total are kept in memory: a small part of today's machines."""
 
 
-def blank_evidence(
-    views: int, count: int, *, max_bytes_in_memory: int = MAX_BYTES_IN_MEMORY
-) -> Evidence:
-    """Allocate evidence on the host, to be filled view by view.
+class ArrayStore:
+    """Arrays by kind and name of a view.
 
-    The optimisation reads one view at a time but comes back to it, so all of it has to be stored.
-    Larger evidence goes to a memory-mapped file without a name, which disappears with the arrays;
-    the operating system keeps as much of it in memory as it can spare.
+    One store serves one run: one scene, its cameras, and one detector. Arrays may be added from
+    several threads, each only once.
 
     Args:
-        views: Number of views V.
-        count: Number of Gaussians N.
-        max_bytes_in_memory: Size above which a file is used.
-
-    Returns:
-        NumPy arrays of zeros, shapes (V, N). The file lies in the folder of temporary files (TMPDIR
-        selects another one), which should not itself be in memory.
-
-    Raises:
-        InputError: if that folder has too little space.
+        folder: A folder for all arrays, created if missing; None for a temporary one (TMPDIR
+            selects where), which is used only beyond `max_bytes` and removed with the store.
+        max_bytes: Size of the arrays in memory, and of the evidence that `observe` may expand.
     """
-    size = 8 * views * count
-    if size <= max_bytes_in_memory:
-        total, tampered = np.zeros((2, views, count), np.float32)
-        return Evidence(total=total, tampered=tampered)
-    with tempfile.TemporaryFile() as file:
-        _reserve(file.fileno(), size)
-        both = np.memmap(file, np.float32, "r+", shape=(2, views, count))
-    return Evidence(total=both[0], tampered=both[1])
+
+    def __init__(self, folder: Path | None = None, *, max_bytes: int = MAX_BYTES_IN_MEMORY) -> None:
+        self.max_bytes = max_bytes
+        self._folder = folder
+        self._in_memory: dict[str, np.ndarray] = {}
+        self._free = max_bytes if folder is None else -1
+        self._lock = threading.Lock()
+
+    def has(self, kind: str, name: str) -> bool:
+        """Whether the store holds an array; a file that was only begun does not count."""
+        key = _key(kind, name)
+        if key in self._in_memory:
+            return True
+        try:
+            return self._folder is not None and self._read(key) is not None
+        except (OSError, ValueError, EOFError):
+            return False
+
+    def get(self, kind: str, name: str) -> np.ndarray:
+        """An array, memory-mapped if it lies in a file; raises OSError if it is missing."""
+        key = _key(kind, name)
+        return self._in_memory[key] if key in self._in_memory else self._read(key)
+
+    def put(self, kind: str, name: str, array: np.ndarray) -> None:
+        """Add an array, which must not change afterwards; raises InputError if a disk is full."""
+        key = _key(kind, name)
+        with self._lock:
+            self._free -= array.nbytes
+            if self._free >= 0:
+                self._in_memory[key] = array
+                return
+            folder = self._open()
+        try:
+            partial = folder / f"{key}.part"
+            with partial.open("wb") as file:
+                np.save(file, array)
+            partial.replace(folder / f"{key}.npy")
+        except OSError as error:
+            raise InputError(
+                f"{folder}: no space for the evidence and masks of the views ({error.strerror}); "
+                "free some, set TMPDIR or --out to another disk, or use fewer views"
+            ) from error
+
+    def release(self, kind: str) -> None:
+        """Free the memory of all arrays of a kind, which are not needed any more."""
+        with self._lock:
+            for key in [key for key in self._in_memory if key.startswith(f"{kind}-")]:
+                self._free += self._in_memory.pop(key).nbytes
+
+    def _open(self) -> Path:
+        """The folder, created when it is first needed."""
+        if self._folder is None:
+            self._folder = Path(tempfile.mkdtemp(prefix="gsc-jax-"))
+            weakref.finalize(self, shutil.rmtree, self._folder, ignore_errors=True)
+        self._folder.mkdir(parents=True, exist_ok=True)
+        return self._folder
+
+    def _read(self, key: str) -> np.ndarray:
+        assert self._folder is not None, f"nothing was stored as {key}"
+        return np.load(self._folder / f"{key}.npy", mmap_mode="r", allow_pickle=False)
 
 
-def _reserve(file: int, size: int) -> None:
-    """Allocate the disk space now: later, a full disk would kill the process by a signal."""
-    try:
-        if hasattr(os, "posix_fallocate"):
-            os.posix_fallocate(file, 0, size)
-        else:
-            os.ftruncate(file, size)
-    except OSError as error:
-        raise InputError(
-            f"{tempfile.gettempdir()}: no space for {size / 2**30:.1f} GiB of evidence "
-            f"({error.strerror}); free some, set TMPDIR to another folder, or use fewer views"
-        ) from error
+def _key(kind: str, name: str) -> str:
+    """A file name: names of views may be long, or differ only in case."""
+    return f"{kind}-{hashlib.blake2b(name.encode(), digest_size=12).hexdigest()}"
+
+
+class ByView(Mapping[str, np.ndarray]):
+    """A read-only mapping from the name of a view to an array that is read when it is asked for."""
+
+    def __init__(self, names: tuple[str, ...], read: Callable[[str], np.ndarray]) -> None:
+        self._names = dict.fromkeys(names)
+        self._read = read
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """The array of a view."""
+        if name not in self._names:
+            raise KeyError(name)
+        return self._read(name)
+
+    def __iter__(self) -> Iterator[str]:
+        """Names in the order of the views."""
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        """Number of views."""
+        return len(self._names)

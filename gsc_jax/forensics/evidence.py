@@ -141,7 +141,14 @@ def estimate_from_attributes(
 
     Returns:
         The finding. Its attribute is the log odds above `level`, and 0 where nothing is known.
+
+    Raises:
+        ValueError: if the threshold or the least scene probability is outside of [0, 1].
     """
+    if not (0 <= threshold <= 1 and 0 <= min_verdict <= 1):
+        raise ValueError(
+            f"threshold and min_verdict must be in [0, 1], got {threshold} and {min_verdict}"
+        )
     edited = evidence.verdict >= min_verdict
     labels = (evidence.probability > threshold) & edited
     relative = np.where(evidence.known, evidence.log_odds - evidence.level, 0)

@@ -72,7 +72,7 @@ def off_levels(column: np.ndarray, neighbours: np.ndarray) -> tuple[np.ndarray, 
         return nothing, nothing
     level = np.where(shared, np.cumsum(common)[codes] - 1, -1)
     between = _between_levels(values, common)[codes]
-    return ~shared & between, _second_set(level, common.sum(), neighbours)
+    return ~shared & between, _second_set(level, int(common.sum()), neighbours)
 
 
 def _between_levels(values: np.ndarray, common: np.ndarray) -> np.ndarray:

@@ -12,8 +12,9 @@ from pathlib import Path
 from gsc_jax.io.colmap import MODEL_FILES, is_colmap, read_colmap
 from gsc_jax.io.files import atomic
 from gsc_jax.io.inria import inria_item, read_inria
-from gsc_jax.io.json_cameras import read_json
+from gsc_jax.io.tables import read_table
 from gsc_jax.io.transforms import read_transforms
+from gsc_jax.io.validation import shown
 from gsc_jax.scene import Camera, InputError
 
 TRANSFORMS_FILES = ("transforms.json", "transforms_train.json")
@@ -21,12 +22,13 @@ COLMAP_FOLDERS = (".", "sparse/0", "0", "sparse", "colmap/sparse/0")
 """Subfolders that may hold a COLMAP model; the first that does is used."""
 
 
-def load_cameras(path: str | Path) -> list[Camera]:
+def load_cameras(path: str | Path, *, max_bytes: int | None = None) -> list[Camera]:
     """Read cameras from a cameras.json, a transforms.json or a COLMAP model.
 
     Args:
         path: A file, or a folder that holds a cameras.json, or else either a transforms.json (or
             transforms_train.json) or a COLMAP model (directly or in `sparse/0`).
+        max_bytes: Memory that may be allocated; see `memory_limit` for the default.
 
     Returns:
         Cameras in the order of the file, those of COLMAP by name, each with a unique name: the
@@ -37,11 +39,7 @@ def load_cameras(path: str | Path) -> list[Camera]:
             its pose not rigid, or two cameras have the same name.
     """
     source = _find(Path(path))
-    cameras = _read(source)
-    if not cameras:
-        raise InputError(f"{source}: holds no cameras; export them again")
-    _check_unique_names(cameras, source)
-    return cameras
+    return _checked(_read(source, max_bytes), source)
 
 
 def save_cameras(path: str | Path, cameras: Sequence[Camera]) -> None:
@@ -52,9 +50,15 @@ def save_cameras(path: str | Path, cameras: Sequence[Camera]) -> None:
         cameras: Cameras without skew.
 
     Raises:
-        InputError: If the file cannot be written.
+        InputError: If the file cannot be written, or could not be read again: there are no
+            cameras, two have the same name, or one has a pose or intrinsics that are invalid.
     """
-    items = [inria_item(camera, index) for index, camera in enumerate(cameras)]
+    try:
+        items = [inria_item(camera, index) for index, camera in enumerate(cameras)]
+        _checked(read_inria(items, Path(path)), path)
+    except ValueError as error:
+        problem = str(error).removeprefix(f"{path}: ")
+        raise InputError(f"{path}: not written: {problem}") from error
     with atomic(path) as temporary:
         temporary.write_text(json.dumps(items), encoding="utf-8")
 
@@ -84,12 +88,14 @@ def _find(path: Path) -> Path:
     return found[0]
 
 
-def _read(source: Path) -> list[Camera]:
+def _read(source: Path, max_bytes: int | None) -> list[Camera]:
     if source.is_dir():
-        return read_colmap(source)
+        return read_colmap(source, max_bytes=max_bytes)
     if source.name in MODEL_FILES:
-        return read_colmap(source.parent)
-    data = read_json(source) if source.suffix.lower() == ".json" else None
+        return read_colmap(source.parent, max_bytes=max_bytes)
+    data = None
+    if source.suffix.lower() == ".json":
+        data = read_table(source, remedy="export the cameras again", max_bytes=max_bytes)
     if isinstance(data, list):
         return read_inria(data, source)
     if isinstance(data, dict) and "frames" in data:
@@ -100,11 +106,15 @@ def _read(source: Path) -> list[Camera]:
     )
 
 
-def _check_unique_names(cameras: Sequence[Camera], source: Path) -> None:
+def _checked(cameras: list[Camera], source: str | Path) -> list[Camera]:
+    """The cameras, if there are any and their names are unique."""
+    if not cameras:
+        raise InputError(f"{source}: holds no cameras; export them again")
     first: dict[str, int] = {}
     for index, camera in enumerate(cameras):
         if first.setdefault(camera.name, index) != index:
             raise InputError(
                 f"{source}: cameras {first[camera.name]} and {index} are both called "
-                f"'{camera.name}', but masks and outputs are matched by name; rename one"
+                f"{shown(camera.name)}, but masks and outputs are matched by name; rename one"
             )
+    return cameras

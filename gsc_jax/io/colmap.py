@@ -1,17 +1,53 @@
-"""COLMAP reconstructions, binary or text, through pycolmap (the extra `colmap`)."""
+"""COLMAP models, binary or text: the poses and intrinsics of their registered images.
 
+The two files with cameras are read here and not by COLMAP's own library, which trusts the counts
+in a file and aborts the process on some of the damaged ones. Points are not read.
+"""
+
+import struct
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
 import numpy as np
 
+from gsc_jax.io.allocation import check_allocation
+from gsc_jax.io.json_cameras import pinhole
+from gsc_jax.io.validation import brief, shown
 from gsc_jax.scene import Camera, InputError
 
-if TYPE_CHECKING:
-    import pycolmap
-
-PINHOLE_MODELS = ("PINHOLE", "SIMPLE_PINHOLE")
 MODEL_FILES = ("cameras.bin", "cameras.txt", "images.bin", "images.txt")
+MODELS = {
+    "SIMPLE_PINHOLE": 3,
+    "PINHOLE": 4,
+    "SIMPLE_RADIAL": 4,
+    "RADIAL": 5,
+    "OPENCV": 8,
+    "OPENCV_FISHEYE": 8,
+    "FULL_OPENCV": 12,
+    "FOV": 5,
+    "SIMPLE_RADIAL_FISHEYE": 4,
+    "RADIAL_FISHEYE": 5,
+    "THIN_PRISM_FISHEYE": 12,
+}
+"""Number of parameters of the camera models, in the order of their numbers in binary files."""
+BYTES_PER_BYTE = 8
+"""Memory per byte of a file: its longest line, and the images of the shortest lines."""
+
+
+class _Intrinsics(NamedTuple):
+    model: str
+    width: int
+    height: int
+    params: tuple[float, ...]
+
+
+class _Image(NamedTuple):
+    """World to camera as a quaternion wxyz and a translation, in `pose`."""
+
+    name: str
+    camera_id: int
+    pose: tuple[float, ...]
 
 
 def is_colmap(folder: Path) -> bool:
@@ -19,46 +55,115 @@ def is_colmap(folder: Path) -> bool:
     return any((folder / name).is_file() for name in MODEL_FILES)
 
 
-def read_colmap(folder: Path) -> list[Camera]:
+def read_colmap(folder: Path, *, max_bytes: int | None = None) -> list[Camera]:
     """Read the registered images of a COLMAP model with their full intrinsics, sorted by name.
 
+    Binary files are preferred. `max_bytes` is the memory that may be allocated.
+
     Raises:
-        InputError: If pycolmap is missing or cannot read the model, or a camera is distorted.
+        InputError: If a file is missing, damaged or too large, or a camera is distorted.
     """
+    binary = all((folder / f"{kind}.bin").is_file() for kind in ("cameras", "images"))
+    read_cameras, read_images = _BINARY if binary else _TEXT
+    files = [folder / f"{kind}.{'bin' if binary else 'txt'}" for kind in ("cameras", "images")]
+    file = files[0]
     try:
-        import pycolmap
-    except ImportError as error:
+        check_allocation(folder, BYTES_PER_BYTE * sum(f.stat().st_size for f in files), max_bytes)
+        intrinsics = dict(read_cameras(file))
+        file = files[1]
+        images = sorted(read_images(file))
+    except InputError:
+        raise
+    except (OSError, ValueError, LookupError, OverflowError, struct.error) as error:
         raise InputError(
-            f"{folder}: COLMAP models need pycolmap: pip install 'gsc_jax[colmap]'"
+            f"{file}: missing or damaged ({brief(error)}), expected cameras and images of a COLMAP "
+            "model, as .bin or as .txt; copy or export the model again"
         ) from error
-    try:
-        model = pycolmap.Reconstruction(folder)
-    except Exception as error:  # pycolmap passes on C++ exceptions of any kind
-        reason = " ".join(str(error).split())
-        raise InputError(
-            f"{folder}: pycolmap cannot read it ({reason}), expected cameras, images and points3D, "
-            "as .bin or as .txt; copy or export the model again"
-        ) from error
-    registered = [image for image in model.images.values() if image.has_pose]
-    return [_camera(image, folder) for image in sorted(registered, key=lambda image: image.name)]
+    return [_camera(image, intrinsics.get(image.camera_id), folder) for image in images]
 
 
-def _camera(image: "pycolmap.Image", folder: Path) -> Camera:
-    camera = image.camera
-    if camera is None or camera.model.name not in PINHOLE_MODELS:
-        found = "no camera" if camera is None else f"a {camera.model.name} camera"
+def _binary_cameras(path: Path) -> Iterator[tuple[int, _Intrinsics]]:
+    data = path.read_bytes()
+    (count,), at = struct.unpack_from("<Q", data), 8
+    for _ in range(count):  # a wrong count ends with an error at the end of the data
+        camera_id, model, width, height = struct.unpack_from("<iiQQ", data, at)
+        if not 0 <= model < len(MODELS):
+            raise ValueError(f"camera model number {model}")
+        name = list(MODELS)[model]
+        layout = f"<{MODELS[name]}d"
+        yield camera_id, _Intrinsics(name, width, height, struct.unpack_from(layout, data, at + 24))
+        at += 24 + struct.calcsize(layout)
+
+
+def _binary_images(path: Path) -> Iterator[_Image]:
+    data = path.read_bytes()
+    (count,), at = struct.unpack_from("<Q", data), 8
+    for _ in range(count):
+        _, *pose, camera_id = struct.unpack_from("<i7di", data, at)
+        end = data.index(b"\0", at + 64)
+        (points,) = struct.unpack_from("<Q", data, end + 1)
+        yield _Image(data[at + 64 : end].decode(), camera_id, tuple(pose))
+        at = end + 9 + 24 * points
+    if at > len(data):
+        raise ValueError("cut short")
+
+
+def _text_cameras(path: Path) -> Iterator[tuple[int, _Intrinsics]]:
+    for line in _lines(path):
+        camera_id, model, width, height, *params = line.split()
+        values = tuple(map(float, params))
+        if len(values) != MODELS.get(model, len(values)):
+            raise ValueError(f"{model} camera with {len(values)} parameters")
+        yield int(camera_id), _Intrinsics(model, int(width), int(height), values)
+
+
+def _text_images(path: Path) -> Iterator[_Image]:
+    for line in _lines(path, skip=1):  # the points in the image
+        _, *pose, camera_id, name = line.strip().split(maxsplit=9)
+        if len(pose) != 7:
+            raise ValueError(f"image {name} has {len(pose)} numbers of a pose")
+        yield _Image(name, int(camera_id), tuple(map(float, pose)))
+
+
+def _lines(path: Path, *, skip: int = 0) -> Iterator[str]:
+    """Lines that are neither empty nor comments; after each, `skip` lines of any content."""
+    with path.open(encoding="utf-8") as file:
+        for line in file:
+            if line.strip() and not line.startswith("#"):
+                yield line
+                for _ in range(skip):
+                    next(file, "")
+
+
+_BINARY = _binary_cameras, _binary_images
+_TEXT = _text_cameras, _text_images
+
+
+def _camera(image: _Image, intrinsics: _Intrinsics | None, folder: Path) -> Camera:
+    where = f"{folder}: image {shown(image.name)}"
+    if intrinsics is None or intrinsics.model not in ("PINHOLE", "SIMPLE_PINHOLE"):
+        found = f"a {shown(intrinsics.model)[1:-1]} camera" if intrinsics else "no camera"
         raise InputError(
-            f"{folder}: image '{image.name}' has {found}, expected PINHOLE or SIMPLE_PINHOLE; "
+            f"{where} has {found}, expected PINHOLE or SIMPLE_PINHOLE; "
             "undistort images and model first (colmap image_undistorter)"
         )
-    pose = image.cam_from_world
-    viewmat = np.eye(4, dtype=np.float32)
-    # A method since pycolmap 3.12, a property before.
-    viewmat[:3] = (pose() if callable(pose) else pose).matrix()
-    return Camera(
-        viewmat=viewmat,
-        K=camera.calibration_matrix().astype(np.float32),
-        width=camera.width,
-        height=camera.height,
-        name=image.name,
-    )
+    *focal, cx, cy = intrinsics.params
+    try:
+        return pinhole(
+            image.name,
+            _camera_to_world(np.array(image.pose)),
+            focal=(focal[0], focal[-1]),
+            center=(cx, cy),
+            size=(intrinsics.width, intrinsics.height),
+        )
+    except ValueError as error:
+        raise InputError(f"{where}: {error}") from error
+
+
+def _camera_to_world(pose: np.ndarray) -> np.ndarray:
+    """The inverse of a pose, shape (3, 4)."""
+    from scipy.spatial.transform import Rotation
+
+    with np.errstate(all="ignore"):  # `pinhole` refuses what is not finite
+        rotation = Rotation.from_quat(pose[[1, 2, 3, 0]]).as_matrix()
+        return np.column_stack([rotation.T, -rotation.T @ pose[4:]])

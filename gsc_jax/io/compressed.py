@@ -6,12 +6,19 @@ original .ply then point past it. gsply must not be given a plain .ply: it silen
 properties that are not float32.
 """
 
+import gzip
 import importlib
+import json
+import struct
+import zipfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from gsc_jax.io.allocation import check_allocation
+from gsc_jax.io.tables import BYTES_PER_CHARACTER
+from gsc_jax.io.validation import brief
 from gsc_jax.scene import Gaussians, InputError
 
 if TYPE_CHECKING:
@@ -25,11 +32,29 @@ CHUNK_BYTES, VERTEX_BYTES, SH_BYTES = 18 * 4, 4 * 4, (9, 24, 45)
 """Bytes per row of the elements of a .compressed.ply, those of `sh` for degree 1 to 3."""
 
 
-def read_compressed(path: Path) -> Gaussians:
+SPZ_MAGIC, SPZ_HEADER_BYTES, ZSTD_HEADER_BYTES = b"NGSP", 16, 18
+BYTES_PER_BYTE = 16
+"""Memory per byte of quantised Gaussians: each becomes a float32, in up to four arrays."""
+SOG_BYTES_PER_PIXEL = 80
+"""Memory per pixel of the images in a .sog: the pixels, and the Gaussian that they describe."""
+SOG_META = "meta.json"
+SOG_TABLES = {
+    "scales": {"codebook": 256, "mins": 3, "maxs": 3},
+    "sh0": {"codebook": 256, "mins": 4, "maxs": 4},
+    "shN": {"codebook": 256},
+}
+"""Lengths of tables in the meta.json of a .sog, of version 2 and of the one before."""
+BLOCK_BYTES = 2**20
+
+
+def read_compressed(path: Path, max_bytes: int | None = None) -> Gaussians:
     """Read all Gaussians of a .spz or .sog file or a PlayCanvas .compressed.ply, NumPy float32.
 
+    `max_bytes` is the memory that may be allocated; what a file expands to is checked before.
+
     Raises:
-        InputError: If gsply is not installed, does not know the format, or finds the file damaged.
+        InputError: If gsply is not installed, does not know the format, or finds the file damaged,
+            or if the Gaussians take more memory.
     """
     kind = path.suffix.lower()
     if kind in (".splat", ".ksplat"):
@@ -41,13 +66,19 @@ def read_compressed(path: Path) -> Gaussians:
             f"{path}: compressed scenes need gsply: pip install 'gsc_jax[formats]', "
             f"or {_conversion(path)}"
         ) from error
-    readers = {".spz": gsply.read_spz, ".sog": gsply.sogread}
     try:
-        if kind in readers:
-            return _gaussians(readers[kind](path))
+        if kind == ".spz":
+            _check_spz(path, max_bytes)
+            return _gaussians(gsply.read_spz(path))
+        if kind == ".sog":
+            _check_sog(path, max_bytes)
+            return _gaussians(gsply.sogread(path))
+        check_allocation(path, BYTES_PER_BYTE * path.stat().st_size, max_bytes)
         return _gaussians(gsply.decompress_from_bytes(path.read_bytes()))
+    except InputError:
+        raise
     except Exception as error:  # a decoder may raise anything on damaged bytes
-        reason = " ".join(str(error).split()) or type(error).__name__
+        reason = brief(error)
         raise InputError(f"{path}: gsply cannot read it ({reason}); {_conversion(path)}") from error
 
 
@@ -76,6 +107,68 @@ def is_compressed_ply(ply: "PlyData", path: Path) -> bool:
             f"{CHUNK_ROWS} Gaussians as PlayCanvas writes them; {_conversion(path)}"
         )
     return True
+
+
+def _check_spz(path: Path, max_bytes: int | None) -> None:
+    """Refuse a .spz whose streams expand to more than is allowed; nothing of them is kept."""
+    with path.open("rb") as file:
+        header = file.read(SPZ_HEADER_BYTES)
+    if header.startswith(SPZ_MAGIC):
+        return _check_spz_streams(path, max_bytes)
+    size = 0
+    with gzip.open(path) as stream:
+        while block := stream.read(BLOCK_BYTES):
+            size += len(block)
+            check_allocation(path, BYTES_PER_BYTE * size, max_bytes)
+    return None
+
+
+def _check_spz_streams(path: Path, max_bytes: int | None) -> None:
+    """Check the sizes in the table of a .spz of version 4, and those that its streams state."""
+    import zstandard
+
+    data = path.read_bytes()
+    streams, table = struct.unpack_from("<BI", data, 15)
+    sizes = list(struct.iter_unpack("<QQ", data[table : table + 16 * streams]))
+    check_allocation(path, BYTES_PER_BYTE * sum(size for _, size in sizes), max_bytes)
+    start = table + 16 * streams
+    for compressed_size, size in sizes:
+        # The decoder allocates the size that the stream itself states.
+        if zstandard.frame_content_size(data[start : start + ZSTD_HEADER_BYTES]) > size:
+            raise ValueError("a stream is larger than the table of streams says")
+        start += compressed_size
+
+
+def _check_sog(path: Path, max_bytes: int | None) -> None:
+    """Check the sizes of the entries and images of a .sog, and the tables that gsply indexes."""
+    from PIL import Image
+
+    needed = 0
+    with zipfile.ZipFile(path) as archive:
+        entries = {entry.filename: entry for entry in archive.infolist()}
+        if len(entries) < len(archive.infolist()):
+            raise ValueError("two entries of the same name")
+        for name, entry in entries.items():
+            if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+                raise ValueError(f"{name} is compressed in an unusual way")
+            needed += (BYTES_PER_CHARACTER if name == SOG_META else 1) * entry.file_size
+            check_allocation(path, needed, max_bytes)
+            if name != SOG_META:
+                with archive.open(entry) as file, Image.open(file, formats=["WEBP"]) as image:
+                    needed += SOG_BYTES_PER_PIXEL * image.width * image.height
+        check_allocation(path, needed, max_bytes)
+        _check_sog_tables(json.loads(archive.read(SOG_META)))
+
+
+def _check_sog_tables(meta: dict[str, Any]) -> None:
+    """Refuse tables of another length than that for which gsply reads them without a check."""
+    for attribute, lengths in SOG_TABLES.items():
+        for table, length in lengths.items():
+            found = len(meta.get(attribute, {}).get(table, range(length)))
+            if found != length:
+                raise ValueError(f"{attribute}.{table} has {found} entries, expected {length}")
+    if not meta.get("count", 1) > 0:
+        raise ValueError("no Gaussians")
 
 
 def _gaussians(data: Any) -> Gaussians:

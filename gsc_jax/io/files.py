@@ -17,7 +17,8 @@ def atomic(path: str | Path) -> Iterator[Path]:
     Put only the writing into the block: any `OSError` in it is reported as an InputError of `path`.
     """
     path = Path(path)
-    temporary = path.with_name(f".{path.stem}.{uuid.uuid4().hex[:12]}{path.suffix}")
+    # Not longer than the name itself needs to be: file systems limit names to 255 bytes.
+    temporary = path.with_name(f".{uuid.uuid4().hex[:12]}{path.suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield temporary

@@ -3,32 +3,25 @@
 A pose that contains a scale or a reflection renders a plausible but wrong image, so it is refused.
 """
 
-import json
-from collections.abc import Callable
-from pathlib import Path
+from collections.abc import Callable, Sequence
 from typing import Annotated, Any
 
 import numpy as np
 import pydantic
 from pydantic import Field, FiniteFloat
 
-from gsc_jax.io.validation import one_line
+from gsc_jax.io.validation import one_line, shown
 from gsc_jax.scene import Camera, InputError
+from gsc_jax.scene.gaussians import MAX_MAGNITUDE
 
-Pixels = Annotated[int, Field(ge=1)]
+MAX_SIDE_PIXELS = 1_000_000
+"""No camera and no panorama has more pixels along a side."""
+Pixels = Annotated[int, Field(ge=1, le=MAX_SIDE_PIXELS)]
 FocalLength = Annotated[FiniteFloat, Field(gt=0)]
 Vector3 = Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)]
 Vector4 = Annotated[list[FiniteFloat], Field(min_length=4, max_length=4)]
 ORTHONORMAL_TOLERANCE = 5e-3
 """Largest accepted entry of |R^T R - I|: some files round rotations to three decimals."""
-
-
-def read_json(path: Path) -> Any:
-    """Parse a JSON file; raise InputError if it is not valid JSON."""
-    try:
-        return json.loads(path.read_text(encoding="utf-8-sig"))
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: not valid JSON ({error}); export the cameras again") from error
 
 
 def construct_cameras(
@@ -39,9 +32,9 @@ def construct_cameras(
     for index, item in enumerate(items):
         where = f"{place} {index}"
         if not isinstance(item, dict):
-            raise InputError(f"{where}: expected a JSON object, found {item!r}")
+            raise InputError(f"{where}: expected a JSON object, found {shown(item)}")
         if isinstance(name := item.get(name_key), str):
-            where += f" ({name!r})"
+            where += f" ({shown(name)})"
         try:
             cameras.append(construct(item))
         except pydantic.ValidationError as error:
@@ -57,15 +50,24 @@ def pinhole(
     camera_to_world: np.ndarray,
     *,
     focal: tuple[float, float],
-    center: tuple[float | None, float | None],
+    center: Sequence[float | None],
     size: tuple[int, int],
 ) -> Camera:
     """Construct a camera, NumPy float32, from a pose with OpenCV axes, shape (3, 4) or (4, 4).
 
     Focal lengths, principal point and size are in pixels, along x and y; a `center` of None is that
-    of the image. A pose that is not rigid raises ValueError.
+    of the image. A pose that is not rigid, or numbers beyond float32, raise ValueError.
     """
     rotation, position = camera_to_world[:3, :3], camera_to_world[:3, 3]
+    center = [n / 2 if x is None else x for x, n in zip(center, size, strict=True)]
+    largest = np.abs([*rotation.flat, *position, *focal, *center]).max()
+    if not (largest <= MAX_MAGNITUDE and min(focal) >= 1 / MAX_MAGNITUDE):  # also of NaN
+        raise ValueError(
+            f"a number of the pose or the intrinsics is not finite or out of all bounds (beyond "
+            f"{MAX_MAGNITUDE:.0e}, or a focal length of 0); export the cameras again"
+        )
+    if not 1 <= min(size) <= max(size) <= MAX_SIDE_PIXELS:
+        raise ValueError(f"an image of {size[0]} x {size[1]} pixels; export the cameras again")
     if problem := _rotation_problem(rotation):
         raise ValueError(
             f"the camera-to-world rotation {problem}, expected an orthonormal matrix of "
@@ -74,7 +76,7 @@ def pinhole(
     viewmat, K = np.eye(4), np.diag([*focal, 1.0])
     viewmat[:3, :3] = rotation.T
     viewmat[:3, 3] = -rotation.T @ position
-    K[:2, 2] = [n / 2 if x is None else x for x, n in zip(center, size, strict=True)]
+    K[:2, 2] = center
     return Camera(
         viewmat=viewmat.astype(np.float32),
         K=K.astype(np.float32),

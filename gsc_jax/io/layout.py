@@ -60,7 +60,7 @@ def encode(gaussians: Gaussians) -> "PlyData":
     from plyfile import PlyData, PlyElement
 
     host = jax.tree.map(np.asarray, gaussians)
-    rest = host.sh[:, 1:].transpose(0, 2, 1).reshape(len(host), -1)
+    rest = host.sh[:, 1:].transpose(0, 2, 1).reshape(len(host), 3 * host.sh.shape[1] - 3)
     names = [*POSITION, *NORMAL, *DC, *(f"f_rest_{i}" for i in range(rest.shape[1]))]
     names += ["opacity", *SCALE, *ROTATION]
     columns = [host.means, np.zeros_like(host.means), host.sh[:, 0], rest]

@@ -10,21 +10,36 @@ before writing.
 """
 
 from pathlib import Path, PurePosixPath, PureWindowsPath
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gsc_jax.io.allocation import check_allocation
 from gsc_jax.io.files import atomic, existing_file
+from gsc_jax.io.validation import shown
 from gsc_jax.scene import InputError
+
+if TYPE_CHECKING:
+    import PIL.Image
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp")
 """Suffixes of mask files, in lower case; upper case is accepted too."""
+IMAGE_FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "WEBP")
+"""Their formats: Pillow would run other programs for some of the others."""
+BYTES_PER_PIXEL = 32
+"""Memory of a coloured mask while it is reduced to one channel and resized, with 8 bytes each."""
+MAX_PART_BYTES, MAX_NAME_BYTES = 240, 1000
+"""Lengths of the names of cameras. Most file systems allow 255 bytes for a part and 4096 for a
+path, to which the folder and a suffix are added."""
 
 GREY_TOLERANCE_LEVELS = 8
 """Largest difference between the channels of a grey pixel. Lossy formats do not keep them equal:
 Pillow's WebP changes grey noise by 1 level; the bound leaves room for other encoders."""
 
 
-def read_probability(path: str | Path, *, zero_one: bool | None = None) -> np.ndarray:
+def read_probability(
+    path: str | Path, *, zero_one: bool | None = None, max_bytes: int | None = None
+) -> np.ndarray:
     """Read a mask or a probability map.
 
     Grey levels of 1, 8 or 16 bits are divided by the largest level of their type; floats are taken
@@ -36,28 +51,26 @@ def read_probability(path: str | Path, *, zero_one: bool | None = None) -> np.nd
         path: An image file in one of `IMAGE_SUFFIXES`.
         zero_one: Whether 8-bit levels are 0 and 1 (True) or 0 to 255 (False). The default is True
             if no level of the file exceeds 1. Other types ignore it.
+        max_bytes: Memory that may be allocated; see `memory_limit` for the default.
 
     Returns:
         Probability of tampering in [0, 1], shape (h, w) float32.
 
     Raises:
-        InputError: If the file is missing, damaged, coloured, or holds several images.
+        InputError: If the file is missing, damaged, coloured or too large, or holds several images.
     """
     from skimage.util import img_as_float32
 
-    grey = read_grey(path)
+    grey = read_grey(path, max_bytes=max_bytes)
     if grey.dtype == np.uint8 and (grey.max() <= 1 if zero_one is None else zero_one):
         grey = grey > 0
     return img_as_float32(grey)
 
 
-def read_grey(path: str | Path) -> np.ndarray:
+def read_grey(path: str | Path, *, max_bytes: int | None = None) -> np.ndarray:
     """Read the stored grey levels of an image: bool, uint8, uint16, or floats in [0, 1], (h, w)."""
     path = existing_file(path, expected="a mask image")
-    frames = _read_frames(path)
-    if len(frames) != 1:
-        raise InputError(f"{path}: holds {len(frames)} pages or frames, expected one; save one")
-    pixels = frames[0]
+    pixels = _read_pixels(path, max_bytes)
     if pixels.dtype.name not in ("bool", "uint8", "uint16") and pixels.dtype.kind != "f":
         raise InputError(f"{path}: holds {pixels.dtype} levels, expected 1, 8 or 16 bits or float")
     if pixels.dtype.kind == "f" and not ((pixels >= 0) & (pixels <= 1)).all():
@@ -98,30 +111,49 @@ def image_path(folder: str | Path, name: str) -> Path:
     """Path of the image of a camera, `folder/name.png`, by which `FolderDetector` finds it.
 
     The name keeps its dots and folders; backslashes separate folders as slashes do. An empty name,
-    or one that leaves the folder, raises InputError.
+    one that leaves the folder, or one that no file can have, raises InputError.
     """
     windows = PureWindowsPath(name)
-    if not windows.name or windows.anchor or ".." in windows.parts:
+    leaves = not windows.name or windows.anchor or ".." in windows.parts
+    # Lone surrogates cannot be encoded; file systems limit the bytes of each part of a path.
+    whole, *parts = (len(part.encode(errors="replace")) for part in (str(windows), *windows.parts))
+    long = whole > MAX_NAME_BYTES or max(parts, default=0) > MAX_PART_BYTES
+    if leaves or long or "\0" in name or name != name.encode(errors="replace").decode():
         raise InputError(
-            f"camera name {name!r} cannot name a file inside {folder}: expected a relative path "
-            "without '..'; rename the camera"
+            f"camera name {shown(name)} cannot name a file inside {folder}: expected a relative "
+            f"path without '..', of Unicode, at most {MAX_PART_BYTES} bytes per part and "
+            f"{MAX_NAME_BYTES} in total; rename the camera"
         )
     return Path(folder) / PurePosixPath(windows.as_posix() + ".png")
 
 
-def _read_frames(path: Path) -> list[np.ndarray]:
-    """Pixels of every frame of an image file, as stored; palettes are replaced by their colours."""
-    from PIL import Image, ImageSequence
+def _read_pixels(path: Path, max_bytes: int | None) -> np.ndarray:
+    """Pixels of an image file, as stored; a palette is replaced by its colours."""
+    from PIL import Image
 
     try:
-        with Image.open(path) as image:
-            frames = ImageSequence.Iterator(image)
-            return [np.array(frame.convert() if frame.mode == "P" else frame) for frame in frames]
+        with Image.open(path, formats=IMAGE_FORMATS) as image:
+            needed = BYTES_PER_PIXEL * image.width * image.height
+            check_allocation(path, needed, max_bytes)
+            if _has_second_frame(image):
+                raise InputError(f"{path}: holds several pages or frames, expected one; save one")
+            return np.array(image.convert() if image.mode == "P" else image)
+    except InputError:
+        raise
     except Exception as error:  # the decoders have no common base class for damaged files
         raise InputError(
             f"{path}: cannot be read as an image, expected a grey PNG; it may be cut short or of "
             "another format: write it again"
         ) from error
+
+
+def _has_second_frame(image: "PIL.Image.Image") -> bool:
+    try:
+        image.seek(1)
+    except EOFError:
+        image.seek(0)
+        return False
+    return True
 
 
 def _grey(pixels: np.ndarray, path: Path) -> np.ndarray:

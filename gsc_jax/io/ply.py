@@ -8,6 +8,7 @@ by reason, and stay in the file. `gsc_jax.io.layout` lists the meaning of each p
 
 import copy
 import dataclasses
+import io
 import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,17 +16,25 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gsc_jax.io import compressed
+from gsc_jax.io.allocation import check_allocation
 from gsc_jax.io.files import atomic, existing_file
-from gsc_jax.io.layout import decode, encode
+from gsc_jax.io.layout import REST_COUNTS, decode, encode
+from gsc_jax.io.validation import brief
 from gsc_jax.render.spherical_harmonics import Y0
 from gsc_jax.scene import Array, Gaussians, InputError, invalid_rows
+from gsc_jax.scene.gaussians import usable_rows
 
 if TYPE_CHECKING:
-    from plyfile import PlyData
+    from plyfile import PlyData, PlyElement
 
 TAMPERED_COLOR = np.array([1.0, 0.1, 0.1])
 LUMA = np.array([0.299, 0.587, 0.114])
 """Weights of red, green and blue in the luminance (ITU-R BT.601)."""
+MAX_HEADER_BYTES = 2**16
+"""Headers of scenes have 2 kB; plyfile would search the whole file for the end of one."""
+BYTES_PER_BYTE, BYTES_PER_NUMBER, BYTES_PER_LIST = 3, 8, 160
+"""Memory per byte of a binary file: the file, its Gaussians and temporary columns. Memory per
+property and row of a text or of lists, where plyfile allocates all rows before it reads one."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -69,7 +78,7 @@ class PlyScene:
         return expanded
 
 
-def read_ply(path: str | Path) -> PlyScene:
+def read_ply(path: str | Path, *, max_bytes: int | None = None) -> PlyScene:
     """Read a scene with the whole content of its file.
 
     Supported are the INRIA, gsplat, SuperSplat, GS-Checker and 2DGS layouts of degree 0 to 3, and
@@ -78,28 +87,30 @@ def read_ply(path: str | Path) -> PlyScene:
 
     Args:
         path: A .ply, .compressed.ply, .spz or .sog file.
+        max_bytes: Memory that may be allocated; see `memory_limit` for the default.
 
     Returns:
         The scene; `dropped` counts the Gaussians that cannot be rendered.
 
     Raises:
-        InputError: If the file is missing, not a PLY or damaged, lacks properties, or holds no
-            Gaussian that can be rendered.
+        InputError: If the file is missing, not a PLY or damaged, lacks properties, holds no
+            Gaussian that can be rendered, or takes more memory.
     """
     path = existing_file(path, expected="a scene (.ply)")
     if path.suffix.lower() in compressed.SUFFIXES:
-        return _scene(encode(compressed.read_compressed(path)), path)
-    ply = _parse(path)
+        return _scene(encode(compressed.read_compressed(path, max_bytes)), path)
+    ply = _parse(path, max_bytes)
     if compressed.is_compressed_ply(ply, path):
-        ply = encode(compressed.read_compressed(path))
+        ply = encode(compressed.read_compressed(path, max_bytes))
     return _scene(ply, path)
 
 
-def load_ply(path: str | Path) -> Gaussians:
+def load_ply(path: str | Path, *, max_bytes: int | None = None) -> Gaussians:
     """Read the Gaussians of a scene and warn in one line if rows were left out.
 
     Args:
         path: A .ply, .compressed.ply, .spz or .sog file.
+        max_bytes: Memory that may be allocated; see `memory_limit` for the default.
 
     Returns:
         The Gaussians that can be rendered, NumPy float32.
@@ -107,7 +118,7 @@ def load_ply(path: str | Path) -> Gaussians:
     Raises:
         InputError: As `read_ply`.
     """
-    scene = read_ply(path)
+    scene = read_ply(path, max_bytes=max_bytes)
     if scene.dropped:
         warnings.warn(f"{path}: {scene.dropped_summary}", UserWarning, stacklevel=2)
     return scene.gaussians
@@ -122,9 +133,15 @@ def save_ply(path: str | Path, gaussians: Gaussians, *, tamper: Array | None = N
         tamper: Score per Gaussian, shape (N,), written as the last property `tamper`.
 
     Raises:
-        InputError: If the file cannot be written.
+        InputError: If the file cannot be written, or could not be read again: there is no Gaussian
+            that can be rendered, or the degree of the spherical harmonics is not 0 to 3.
         ValueError: If there are not N scores.
     """
+    if 3 * np.shape(gaussians.sh)[1] - 3 not in REST_COUNTS or not usable_rows(gaussians).any():
+        raise InputError(
+            f"{path}: not written: expected Gaussians that can be rendered, of degree 0 to 3, "
+            f"found {len(gaussians)} with colours of shape {np.shape(gaussians.sh)}"
+        )
     ply = encode(gaussians)
     _write(path, ply if tamper is None else _with_tamper(ply, np.asarray(tamper)))
 
@@ -151,27 +168,53 @@ def save_highlight(path: str | Path, gaussians: Gaussians, labels: Array) -> Non
     save_ply(path, dataclasses.replace(gaussians, sh=recolored))
 
 
-def _parse(path: Path) -> "PlyData":
-    from plyfile import PlyData, PlyElementParseError, PlyParseError
+def _parse(path: Path, max_bytes: int | None) -> "PlyData":
+    from plyfile import PlyData, PlyElementParseError
 
     try:
+        _check_header(path, max_bytes)
         # Text values beyond float32 become infinite; `invalid_rows` judges their rows.
         with np.errstate(over="ignore"):
             ply = PlyData.read(path)
     except PlyElementParseError as error:
         promised = f"; its header promises {error.element.count}" if error.element else ""
+        reason = brief(error) + promised
         raise InputError(
-            f"{path}: damaged or cut short ({error}{promised}); copy or export the file again"
+            f"{path}: damaged or cut short ({reason}); copy or export the file again"
         ) from error
-    except (PlyParseError, ValueError, ArithmeticError, LookupError) as error:
+    except InputError:
+        raise
+    except Exception as error:  # a damaged header may make plyfile or NumPy raise anything
         raise InputError(
-            f"{path}: not a PLY file that can be read ({error}); expected the .ply of a "
+            f"{path}: not a PLY file that can be read ({brief(error)}); expected the .ply of a "
             "3D Gaussian splatting model"
         ) from error
     for element in ply.elements:
         # plyfile maps the file into memory; a copy stays valid when the file changes.
         element.data = np.array(element.data)
     return ply
+
+
+def _check_header(path: Path, max_bytes: int | None) -> None:
+    """Refuse headers that promise more rows than the file can hold, or more memory than allowed.
+
+    A row takes at least one byte per property in the file.
+    """
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        header, end, _ = file.read(MAX_HEADER_BYTES).partition(b"end_header")
+    if not header.startswith(b"ply") or not end:
+        raise ValueError(f"no header from ply to end_header in its first {MAX_HEADER_BYTES} bytes")
+    needed, rows = BYTES_PER_BYTE * size, 0
+    number = BYTES_PER_NUMBER if b"ascii" in header.split()[1:3] else 0
+    for words in map(bytes.split, header.splitlines()):
+        if words[:1] == [b"element"]:
+            rows = int(words[-1])
+            if not 0 <= rows <= size:
+                raise ValueError(f"its header promises {rows} rows in {size} bytes")
+        elif words[:1] == [b"property"]:
+            needed += rows * (BYTES_PER_LIST if b"list" in words[1:2] else number)
+    check_allocation(path, needed, max_bytes)
 
 
 def _scene(ply: "PlyData", path: Path) -> PlyScene:
@@ -214,5 +257,18 @@ def _with_tamper(ply: "PlyData", scores: np.ndarray) -> "PlyData":
 
 
 def _write(path: str | Path, ply: "PlyData") -> None:
-    with atomic(path) as temporary:
-        ply.write(str(temporary))
+    """Write a binary PLY; plyfile itself cannot write rows with a colon in a property name."""
+    with atomic(path) as temporary, temporary.open("wb") as file:
+        file.write(f"{ply.header}\n".encode("ascii"))
+        for element in ply.elements:
+            data = element.data.astype(element.dtype(ply.byte_order), copy=False)
+            file.write(_with_lists(element) if data.dtype.hasobject else data.view(np.uint8))
+
+
+def _with_lists(element: "PlyElement") -> memoryview:
+    """Rows that hold lists, in little endian."""
+    from plyfile import PlyData
+
+    alone, stream = PlyData([element], byte_order="<"), io.BytesIO()
+    alone.write(stream)
+    return stream.getbuffer()[len(alone.header) + 1 :]

@@ -16,6 +16,8 @@ import pydantic
 from pydantic import Field, FiniteFloat
 
 from gsc_jax.io.json_cameras import FocalLength, Pixels, Vector4, construct_cameras, pinhole
+from gsc_jax.io.masks import IMAGE_FORMATS
+from gsc_jax.io.validation import shown
 from gsc_jax.scene import Camera, InputError
 
 DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2", "is_fisheye")
@@ -51,7 +53,9 @@ def read_transforms(data: Mapping[str, Any], path: Path) -> list[Camera]:
     frames = data.get("frames")
     if not isinstance(frames, list):
         raise InputError(f"{path}: holds no list of frames; export the cameras again")
-    items = [{**data, **frame} if isinstance(frame, dict) else frame for frame in frames]
+    known = {*_Frame.model_fields, *DISTORTION, "camera_model"}
+    shared = {key: data[key] for key in known & data.keys()}
+    items = [{**shared, **frame} if isinstance(frame, dict) else frame for frame in frames]
     construct = functools.partial(_camera, folder=path.parent)
     return construct_cameras(items, construct, place=f"{path}: frame", name_key="file_path")
 
@@ -77,7 +81,7 @@ def _check_undistorted(item: Mapping[str, Any]) -> None:
     found = [key for key in DISTORTION if item.get(key)]
     model = item.get("camera_model", "PINHOLE")
     if model not in PINHOLE_MODELS:
-        found.append(f"camera model {model}")
+        found.append(f"camera model {shown(model)}")
     if found:
         raise ValueError(
             f"the camera is distorted ({', '.join(found)}), expected a pinhole camera; undistort "
@@ -89,11 +93,15 @@ def _image_size(stem: Path) -> tuple[int, int]:
     """Width and height in pixels of an image; its suffix may be missing."""
     from PIL import Image
 
-    for path in (stem.with_name(stem.name + suffix) for suffix in IMAGE_SUFFIXES):
-        if path.is_file():
-            with Image.open(path) as image:
-                return image.size
-    raise ValueError(f"lacks 'w' and 'h', and {stem} is not an image; add them")
+    problem = ValueError(f"lacks 'w' and 'h', and {shown(str(stem))} is not an image; add them")
+    try:
+        for path in (Path(f"{stem}{suffix}") for suffix in IMAGE_SUFFIXES):
+            if path.is_file():
+                with Image.open(path, formats=IMAGE_FORMATS) as image:
+                    return image.size
+    except Exception as error:  # the decoders have no common base class for damaged files
+        raise problem from error
+    raise problem
 
 
 def _focal(length: float | None, angle: float | None, pixels: int) -> float:

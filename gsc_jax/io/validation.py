@@ -1,11 +1,13 @@
 """Errors of pydantic as one line that names the file, the key, what was expected and found."""
 
 import difflib
+import reprlib
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import pydantic
 
+SHOWN_CHARACTERS, MESSAGE_CHARACTERS = 80, 250
 UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
 
 
@@ -28,15 +30,32 @@ def one_line(
     first = problems[0]
     key, found = _located(first["loc"], given)
     if first["type"] in UNKNOWN_KEY:
-        return f"{where}: unknown key {key!r}{_suggestion(str(first['loc'][-1]), list(known))}"
+        return f"{where}: unknown key {shown(key)}{_suggestion(str(first['loc'][-1]), list(known))}"
     name = f"{where}: {key}" if key else where
     if first["type"].startswith("missing"):
-        last, short = first["loc"][-1], f"expected more values, found {found!r}"
+        last, short = first["loc"][-1], f"expected more values, found {shown(found)}"
         return f"{name}: {short if isinstance(last, int) else f'{last!r} is missing'}"
     reasons = dict.fromkeys(
         _reason(problem["msg"]) for problem in problems if _located(problem["loc"], given)[0] == key
     )
-    return f"{name}: {' or '.join(reasons)}" + (f", found {found!r}" if key else "")
+    return f"{name}: {' or '.join(reasons)}" + (f", found {shown(found)}" if key else "")
+
+
+def shown(value: Any) -> str:
+    """The value as in Python code, shortened in the middle to a part of a line."""
+    text = " ".join(_REPR.repr(value).split())
+    half = SHOWN_CHARACTERS // 2
+    return text if len(text) <= SHOWN_CHARACTERS else f"{text[:half]}...{text[-half:]}"
+
+
+_REPR = reprlib.Repr()
+_REPR.maxstring = _REPR.maxother = _REPR.maxlong = SHOWN_CHARACTERS
+
+
+def brief(error: Exception) -> str:
+    """The message of an exception of another library, on one line that is not too long."""
+    text = " ".join(str(error).split()) or type(error).__name__
+    return text if len(text) <= MESSAGE_CHARACTERS else f"{text[:MESSAGE_CHARACTERS]}..."
 
 
 def _located(location: Sequence[int | str], given: Any) -> tuple[str, Any]:

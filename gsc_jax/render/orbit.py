@@ -9,6 +9,7 @@ import numpy as np
 
 from gsc_jax.scene import Array, Camera, Gaussians, InputError
 from gsc_jax.scene.camera import intrinsics
+from gsc_jax.scene.gaussians import usable_rows
 
 ELEVATIONS = np.radians([10.0, 25.0, 40.0])
 """Angles above the horizon that the cameras of an orbit take in turn: usual ones in captures."""
@@ -16,6 +17,14 @@ RADIUS_PERCENTILE = 90
 """Percentile of the distances from the centre that is the radius of a scene: most Gaussians."""
 DISTANCE_MARGIN = 1.1
 """Distance of an orbit in units of the distance at which the scene exactly fills the image."""
+FOV_DEGREES = 0.01, 179.0
+"""Fields of view of an orbit: beyond them, a pinhole camera has no usable focal length."""
+DEFAULT_UP = np.array([0.0, -1.0, 0.0])
+"""Up direction of most scenes from COLMAP."""
+MAX_SIDE = 10**6
+"""Largest side of an image in pixels."""
+MIN_MEAN_UP = 1e-3
+"""Length of a mean of unit vectors below which they cancel, and only rounding gives a direction."""
 
 
 def orbit_cameras(
@@ -30,12 +39,13 @@ def orbit_cameras(
     """Place cameras on a circle around a scene, at three elevations, looking at its centre.
 
     The centre is the median of the opaque Gaussians. A sphere around most of them fills the image.
+    Rows that cannot be rendered are ignored.
 
     Args:
         gaussians: The scene.
         n: Number of cameras; their names are orbit_000, orbit_001 and so on.
         size: Image width and height in pixels.
-        fov_degrees: Horizontal field of view.
+        fov_degrees: Horizontal field of view, 0.01 to 179.
         up: Up direction of the world, any length, shape (3,); -y in most scenes from COLMAP.
         seed: Seed of the azimuth of the first camera.
 
@@ -43,14 +53,17 @@ def orbit_cameras(
         n cameras, NumPy float32.
 
     Raises:
-        InputError: if n, the field of view or the up direction is invalid.
+        InputError: if n, the size, the field of view or the up direction is invalid, or no
+            Gaussian can be rendered.
     """
     up = np.asarray(up, np.float64)
     valid_up = up.shape == (3,) and 0 < np.linalg.norm(up) < np.inf
-    if n < 1 or not 0 < fov_degrees < 180 or not valid_up:
+    valid_size = all(side in range(1, MAX_SIDE + 1) for side in size)
+    if not (n >= 1 and valid_size and FOV_DEGREES[0] <= fov_degrees <= FOV_DEGREES[1] and valid_up):
         raise InputError(
-            f"orbit of {n} cameras, field of view {fov_degrees} degrees, up {up}: expected at "
-            "least one camera, an angle between 0 and 180, and a direction of three numbers"
+            f"orbit of {n} cameras, size {size}, field of view {fov_degrees} degrees, up {up}: "
+            "expected at least one camera, whole numbers of pixels, an angle from 0.01 to 179, and "
+            "a direction of three numbers"
         )
     (width, height), (center, radius) = size, _extent(gaussians)
     focal = 0.5 * width / np.tan(0.5 * np.radians(fov_degrees))
@@ -78,11 +91,16 @@ def opaque_means(gaussians: Gaussians) -> np.ndarray:
 
 def _extent(gaussians: Gaussians) -> tuple[np.ndarray, float]:
     """Centre and radius of a scene; the radius is at least three standard deviations."""
+    gaussians = gaussians.take(np.flatnonzero(usable_rows(gaussians)))
+    if not len(gaussians):
+        raise InputError("the scene has no Gaussian that can be rendered")
     means = opaque_means(gaussians)
     center = np.median(means, axis=0)
     radius = np.percentile(np.linalg.norm(means - center, axis=1), RADIUS_PERCENTILE)
     largest = np.asarray(gaussians.log_scales, np.float64).max(axis=1)
-    return center, max(float(radius), 3 * float(np.exp(np.median(largest))))
+    # At a smaller distance, rounding would leave no direction from the camera to the centre.
+    least = np.finfo(np.float32).eps * max(1.0, np.abs(center).max())
+    return center, max(float(radius), 3 * float(np.exp(np.median(largest))), least)
 
 
 def _directions(n: int, up: np.ndarray, seed: int) -> np.ndarray:
@@ -108,6 +126,10 @@ def look_at(eye: np.ndarray, target: np.ndarray, up: np.ndarray) -> np.ndarray:
 
 
 def mean_up(cameras: Sequence[Camera]) -> np.ndarray:
-    """Up direction of a scene, shape (3,): the mean over cameras, which are mostly held level."""
-    up = -np.mean([np.asarray(camera.viewmat)[1, :3] for camera in cameras], axis=0)
-    return up / np.linalg.norm(up)
+    """Up direction of a scene, unit, shape (3,): the mean over cameras, mostly held level.
+
+    If the directions of the cameras cancel, it is `DEFAULT_UP`.
+    """
+    up = -np.mean([np.asarray(camera.viewmat, np.float64)[1, :3] for camera in cameras], axis=0)
+    length = np.linalg.norm(up)
+    return up / length if length > MIN_MEAN_UP else DEFAULT_UP.copy()

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 
 from gsc_jax.scene import Array, Camera, Gaussians, pytree
-from gsc_jax.scene.gaussians import IDENTITY_QUATERNION
+from gsc_jax.scene.gaussians import IDENTITY_QUATERNION, check_shapes
 
 NEAR = 0.2
 """Default near plane in world units, that of the INRIA rasteriser."""
@@ -52,8 +52,10 @@ def project(gaussians: Gaussians, camera: Camera, *, near: float = NEAR) -> Spla
     """Project N Gaussians into a view.
 
     Gaussians with parameters that are not finite are not visible, nor are those closer than the
-    near plane, in world units; a near plane that is not positive is a ValueError.
+    near plane, in world units. Raises ValueError for wrong shapes, and for a near plane that is not
+    positive.
     """
+    check_shapes(gaussians)
     if not near > 0:
         raise ValueError(f"near must be positive, got {near}")
     columns = gaussians.means, gaussians.log_scales, gaussians.quats, gaussians.logit_opacities

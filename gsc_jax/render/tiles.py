@@ -79,12 +79,15 @@ def make_view(
 
     Raises:
         InputError: if there are more than 2^28 intersections of splats and tiles.
+        ValueError: if a shape, the near plane or `lockstep` is invalid.
     """
     return bin_view(project(gaussians, camera, near=near), camera, lockstep=lockstep)
 
 
 def bin_view(splats: Splats, camera: Camera, *, lockstep: int | None = None) -> View:
     """Bin projected Gaussians: the second half of `make_view`."""
+    if lockstep is not None and not (isinstance(lockstep, int | np.integer) and lockstep >= 1):
+        raise ValueError(f"lockstep must be a whole number above 0, got {lockstep}")
     table = _table(splats)  # asynchronous: JAX computes it while NumPy bins
     lists = bin_splats(splats, camera.width, camera.height)
     tiles = len(lists.counts)

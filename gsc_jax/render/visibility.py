@@ -11,6 +11,7 @@ import numpy as np
 from gsc_jax.render.orbit import opaque_means
 from gsc_jax.render.projection import NEAR
 from gsc_jax.scene import Camera, Gaussians, InputError
+from gsc_jax.scene.gaussians import check_shapes
 
 MAX_POINTS = 20_000
 """Number of sampled centres: a share of 1 % has a standard error below 0.1 %."""
@@ -44,7 +45,9 @@ def check_views(
 
     Raises:
         InputError: if there are no cameras or no Gaussians, or if the share is below 1 %.
+        ValueError: if the shapes of the parameters do not belong together.
     """
+    check_shapes(gaussians)
     if not cameras:
         raise InputError("no cameras for the scene; give at least one")
     if not len(gaussians):

@@ -20,6 +20,9 @@ class Camera:
         width: Image width in pixels.
         height: Image height in pixels.
         name: Name of the masks and outputs of this view; may contain dots and folders.
+
+    Raises:
+        ValueError: if the image has no pixel.
     """
 
     viewmat: Array
@@ -27,6 +30,12 @@ class Camera:
     width: int = dataclasses.field(metadata=STATIC)
     height: int = dataclasses.field(metadata=STATIC)
     name: str = dataclasses.field(default="", metadata=STATIC)
+
+    def __post_init__(self) -> None:
+        """Check the size: an empty image would fail, or be silently blank, in every later step."""
+        for side in (self.width, self.height):
+            if not isinstance(side, int | np.integer) or side < 1:
+                raise ValueError(f"expected whole numbers of pixels above 0, got {side}")
 
     @property
     def center(self) -> np.ndarray:

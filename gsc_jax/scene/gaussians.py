@@ -73,13 +73,33 @@ class Gaussians:
         return jax.tree.map(lambda leaf: leaf[rows], self)
 
 
+def check_shapes(gaussians: Gaussians) -> None:
+    """Raise ValueError if the shapes of the parameters do not belong together."""
+    count, degrees = len(gaussians), [(degree + 1) ** 2 for degree in range(4)]
+    expected = {
+        "means": [(count, 3)],
+        "log_scales": [(count, 3)],
+        "quats": [(count, 4)],
+        "logit_opacities": [(count,)],
+        "sh": [(count, k, 3) for k in degrees],
+    }
+    for name, shapes in expected.items():
+        if (found := np.shape(getattr(gaussians, name))) not in shapes:
+            known = " or ".join(map(str, shapes))
+            raise ValueError(f"{name} of {count} Gaussians must be {known}, got {found}")
+
+
 def invalid_rows(gaussians: Gaussians) -> dict[str, np.ndarray]:
     """Find the Gaussians that cannot be rendered.
 
     Returns:
         Boolean arrays of shape (N,) by reason; a row may have several. An opacity of plus infinity
         is valid (fully opaque), and one of minus infinity is merely invisible.
+
+    Raises:
+        ValueError: if the shapes of the parameters do not belong together.
     """
+    check_shapes(gaussians)
     host = jax.tree.map(np.asarray, gaussians)
     quats = np.isfinite(host.quats).all(axis=1)
     return {

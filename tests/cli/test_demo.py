@@ -17,6 +17,7 @@ from gsc_jax.estimators import Method
 from gsc_jax.io.cameras import load_cameras
 from gsc_jax.io.masks import image_path, read_probability
 from gsc_jax.io.ply import read_ply
+from gsc_jax.scene import InputError
 
 COUNT, VIEWS, HELDOUT = 6_000, 6, 2
 
@@ -102,3 +103,11 @@ def test_the_scene_before_the_edit_is_located_too(finished, method):
     (row,) = [line for line in lines if line.startswith(f"{method}  ") and "%" in line]
     assert float(row.split()[2].rstrip("%")) == pytest.approx(100 * result["verdict"], abs=0.51)
     assert int(row.split()[3].replace(",", "")) == result["counts"]["tampered"]
+
+
+def test_input_of_another_origin_is_kept(tmp_path):
+    (tmp_path / "input").mkdir()
+    (tmp_path / "input" / "scene.ply").write_bytes(b"mine")
+    with pytest.raises(InputError, match="is not from `demo`"):
+        demo.run_demo(Demo(out=tmp_path))
+    assert (tmp_path / "input" / "scene.ply").read_bytes() == b"mine"

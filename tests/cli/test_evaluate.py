@@ -191,3 +191,15 @@ def test_a_real_scene(tmp_path):
     assert "another size" in answer.err
     assert numbers(tmp_path)["gaussians"]["rows"] == 123_214
     assert numbers(tmp_path)["views"]["found"]["f1"] >= 0
+
+
+def test_only_earlier_scores_are_replaced(case, folder, tmp_path):
+    truth = tmp_path / "labels.npy"
+    shutil.copy(folder / "labels.npy", truth)
+    before = truth.read_bytes()
+    for out in (truth, folder / "result.json"):
+        message = refused("evaluate", folder, "--truth", truth, "--out", out)
+        assert f"{out}: exists and is not from an earlier run" in message
+    assert truth.read_bytes() == before
+    for _ in range(2):
+        assert run("evaluate", folder, "--truth", truth, "--out", tmp_path / "own.json").code == 0

@@ -2,8 +2,10 @@
 
 import contextlib
 import dataclasses
+import errno
 import io
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -19,6 +21,7 @@ from gsc_jax.benchmark.simulate import REGIMES
 from gsc_jax.cli import locate as locate_command
 from gsc_jax.cli import main as cli
 from gsc_jax.cli import options, outputs
+from gsc_jax.cli.staging import UNFINISHED
 from gsc_jax.io.cameras import load_cameras, save_cameras
 from gsc_jax.scene import InputError
 
@@ -152,7 +155,7 @@ def test_a_full_disk_leaves_the_earlier_results(case, found, tmp_path, monkeypat
 
 
 @pytest.mark.parametrize("new", [True, False])
-def test_an_interrupted_run_leaves_the_folder_as_it_was(case, tmp_path, monkeypatch, new):
+def test_an_interrupted_run_leaves_the_results_as_they_were(case, tmp_path, monkeypatch, new):
     out = tmp_path / "out"
     if not new:
         out.mkdir()
@@ -165,7 +168,8 @@ def test_an_interrupted_run_leaves_the_folder_as_it_was(case, tmp_path, monkeypa
     monkeypatch.setattr(outputs, "contact_sheet", interrupted)
     with pytest.raises(KeyboardInterrupt):
         run(*given(case), "--out", out)
-    assert (out.exists(), contents(out)) == (not new, before)
+    assert contents(out) == before
+    assert (out / UNFINISHED / "views").is_dir(), "the next run continues from the views"
 
 
 @pytest.mark.parametrize(
@@ -243,3 +247,31 @@ def test_the_console_script_runs():
     done = subprocess.run([*command, "--version"], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.startswith("gsc-jax ")
+
+
+@pytest.mark.parametrize(
+    ("number", "name", "refused_with"),
+    [
+        (errno.ENOENT, "scene.ply", "scene.ply: No such file"),  # removed while it is read
+        (errno.ENOSPC, None, "a file: No space left"),
+        (errno.EACCES, "/elsewhere", "/elsewhere: Permission denied"),
+        (errno.ENOENT, "/elsewhere", None),
+        (errno.ENOENT, None, None),
+        (errno.EBADF, None, None),
+    ],
+)
+def test_errors_of_this_program_are_not_reported_as_bad_input(
+    tmp_path, monkeypatch, number, name, refused_with
+):
+    scene = tmp_path / "scene.ply"
+
+    def fail(*arguments, **options):
+        raise OSError(number, os.strerror(number), str(scene) if name == "scene.ply" else name)
+
+    monkeypatch.setattr(cli, "run_render", fail)
+    argv = ["render", scene, "--out", tmp_path / "out"]
+    if refused_with:
+        assert refused_with in refused(*argv)
+    else:
+        with pytest.raises(OSError, match=os.strerror(number)):
+            run(*argv)

@@ -1,10 +1,14 @@
 """`gsc-jax render`: an image per camera."""
 
+import dataclasses
+import json
+import shutil
+
 import imageio.v3 as iio
 import numpy as np
-from cli_case import FIXTURES, NAMES, given, run
+from cli_case import FIXTURES, NAMES, contents, given, refused, run
 
-from gsc_jax.io.cameras import load_cameras
+from gsc_jax.io.cameras import load_cameras, save_cameras
 from gsc_jax.io.masks import image_path, write_mask
 
 case, found, own_cache = FIXTURES
@@ -32,3 +36,55 @@ def test_without_cameras_an_orbit_is_created_and_written(case, tmp_path):
         write_mask(tmp_path / "masks" / f"{camera.name}.png", np.ones((48, 64), bool))
     argv = given(case, cameras=views / "cameras.json", masks=tmp_path / "masks")
     assert run(*argv, "--out", tmp_path / "out").code == 0
+
+
+def test_the_cameras_of_the_training_are_never_replaced(case, tmp_path):
+    model = shutil.copytree(case, tmp_path / "model")
+    before = contents(model)
+    message = refused("render", model / "scene.ply", "--out", model, "--views", 2)
+    assert str(model / "cameras.json") in message
+    assert "give another --out" in message
+    assert contents(model) == before
+
+
+def test_only_images_of_an_earlier_run_are_replaced(case, tmp_path):
+    out = tmp_path / "views"
+    out.mkdir()
+    photo = image_path(out, NAMES[1])
+    photo.parent.mkdir(exist_ok=True)
+    photo.write_bytes(b"a photo")
+    argv = ["render", case / "scene.ply", "--cameras", case, "--out", out]
+    assert f"{photo}: exists" in refused(*argv)
+    assert photo.read_bytes() == b"a photo"
+    photo.unlink()
+    assert run(*argv).code == 0
+    (out / "mine.png").write_bytes(b"kept")
+    assert run(*argv, "--views", 1).code == 0
+    images = {name for name in contents(out) if name.endswith(".png")}
+    assert images == {image_path("", NAMES[0]).as_posix(), "mine.png"}
+    listed = json.loads((out / "render.json").read_text())["outputs"]
+    assert {*listed, "mine.png"} == contents(out).keys()
+
+
+def test_an_image_never_replaces_an_input(case, tmp_path):
+    camera = dataclasses.replace(load_cameras(case)[0], name="input")
+    cameras = tmp_path / "input.png"
+    save_cameras(tmp_path / "cameras.json", [camera])
+    shutil.copy(case / "scene.ply", tmp_path / "scene.ply")
+    (tmp_path / "input.png").symlink_to("scene.ply")
+    argv = ["render", cameras, "--cameras", tmp_path / "cameras.json", "--out", tmp_path]
+    before = contents(tmp_path)
+    refused(*argv)
+    assert contents(tmp_path) == before
+
+
+def test_images_are_not_written_through_links(case, tmp_path):
+    elsewhere, out = tmp_path / "elsewhere", tmp_path / "out"
+    elsewhere.mkdir()
+    out.mkdir()
+    (out / "left").symlink_to(elsewhere)
+    camera = dataclasses.replace(load_cameras(case)[0], name="left/0")
+    save_cameras(tmp_path / "cameras.json", [camera])
+    argv = ["render", case / "scene.ply", "--cameras", tmp_path / "cameras.json", "--out", out]
+    assert "is a link" in refused(*argv)
+    assert not contents(elsewhere)

@@ -18,6 +18,8 @@ from gsc_jax.io.ply import save_ply
 from gsc_jax.render.orbit import orbit_cameras
 from gsc_jax.scene import InputError
 
+NPY = b"\x93NUMPY\x01\x00\x76\x00{'descr': '<f4', 'fortran_order': False, 'shape': %-62b}\n"
+
 
 @pytest.fixture
 def folder(tmp_path) -> Path:
@@ -115,12 +117,42 @@ class TestRefusals:
         rewrite_report(folder, **{key: value})
         assert f"result.json: {key}" in refusal(folder).replace("'", "")
 
+    @pytest.mark.parametrize(
+        "changes",
+        [
+            {"verdict": "0.9"},
+            {"verdict": -0.1},
+            {"verdict": True},
+            {"tampered_share_of_views": 1.5},
+            {"counts": {"tampered": -1, "gaussians": 1}},
+            {"counts": {"tampered": "1", "gaussians": 1}},
+            {"config": {"threshold": float("nan"), "near": 0.2}},
+            {"config": {"threshold": 0.5, "near": 0}},
+            {"config": {"threshold": 0.5, "near": "0.2"}},
+            {"per_view": [{"name": 1, "width": 80, "height": 60}]},
+        ],
+    )
+    def test_values_that_no_run_writes(self, folder, changes):
+        rewrite_report(folder, **changes)
+        assert refusal(folder).startswith(f"{folder / 'result.json'}: {next(iter(changes))}")
+
+    @pytest.mark.parametrize("score", [np.nan, -0.1, 1e300])
+    def test_scores_that_are_no_probabilities(self, folder, score):
+        np.save(folder / "tamper.npy", np.full(COUNT, score))
+        assert "tamper.npy: holds numbers outside [0, 1]" in refusal(folder)
+
     @pytest.mark.parametrize("name", ["tamper.ply", "tamper.npy", "labels.npy", "views.json"])
     def test_a_missing_file(self, folder, name):
         (folder / name).unlink()
         assert f"{folder / name}: no such file" in refusal(folder)
 
-    @pytest.mark.parametrize("content", [b"", b"\x93NUMPY\x01\x00", b"nonsense"])
+    @pytest.mark.parametrize(
+        "content",
+        [
+            *(b"", b"\x93NUMPY\x01\x00", b"nonsense", b"PK\x03\x04 not a zip", b"PK\x05\x06"),
+            *(NPY % shape for shape in (b"(9999999999999,)", b"(9**99,)", b"(", b"(-1,)")),
+        ],
+    )
     def test_a_damaged_array(self, folder, content):
         (folder / "tamper.npy").write_bytes(content)
         assert "tamper.npy" in refusal(folder)

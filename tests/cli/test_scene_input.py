@@ -1,12 +1,13 @@
 """Reading scenes and cameras."""
 
 import dataclasses
+import json
 
 import numpy as np
 import pytest
-from cli_case import FIXTURES
+from cli_case import FIXTURES, refused
 
-from gsc_jax.cli.scene_input import evenly_spaced
+from gsc_jax.cli.scene_input import check_names, evenly_spaced
 from gsc_jax.io.cameras import load_cameras
 
 case, found, own_cache = FIXTURES
@@ -22,3 +23,40 @@ def test_cameras_are_evenly_spaced(case, count, total):
     gaps = np.diff([*places, total])
     assert gaps.min() >= 1
     assert np.ptp(gaps) <= 1
+
+
+@pytest.mark.parametrize(
+    ("names", "problem"),
+    [
+        (["a\0b"], "cannot name a file"),
+        (["x" * 300], "cannot name a file"),
+        (["\ud800"], "cannot name a file"),
+        (["a", "a.png/b"], "'a.png' would be a file and a folder"),
+        (["a.jpg/b/c", "a"], "'a.jpg' would be a file and a folder"),
+        (["a/b", "a\\b"], "differ only in slashes"),
+    ],
+)
+@pytest.mark.parametrize("command", ["locate", "render", "tamper"])
+def test_names_that_cannot_be_written_are_refused_before_anything_is_computed(
+    case, tmp_path, command, names, problem
+):
+    items = json.loads((case / "cameras.json").read_text())
+    items = [item | {"img_name": name} for item, name in zip(items, names, strict=False)]
+    cameras = tmp_path / "cameras.json"
+    cameras.write_text(json.dumps(items))
+    message = refused(command, case / "scene.ply", "--cameras", cameras, "--out", tmp_path / "out")
+    assert problem in message
+    assert str(cameras) in message
+    assert not (tmp_path / "out").exists()
+
+
+def test_names_that_differ_in_case_or_share_a_folder_are_accepted(case):
+    camera = load_cameras(case / "cameras.json")[0]
+    names = ("a", "A", "a.png", "b/a", "b/c", "b")
+    check_names([dataclasses.replace(camera, name=name) for name in names])
+
+
+@pytest.mark.parametrize(("memory", "problem"), [("0", "--memory 0"), ("1e-6", "of memory")])
+def test_memory_is_bounded_by_an_option(case, tmp_path, memory, problem):
+    arguments = ("locate", case / "scene.ply", "--memory", memory, "--out", tmp_path / "out")
+    assert problem in refused(*arguments)

@@ -1,17 +1,18 @@
-"""A folder of results is replaced as a whole, or left unchanged."""
+"""A folder of results is replaced as a whole, or left unchanged, whenever the run ends."""
 
+import contextlib
 import json
 import os
 import re
 import signal
-import time
 from pathlib import Path
 
 import pytest
 from cli_case import contents
 
+from gsc_jax.cli import staging
 from gsc_jax.cli.locate_options import Locate
-from gsc_jax.cli.staging import ABANDONED_SECONDS, OUTPUTS, UNFINISHED, replacing
+from gsc_jax.cli.staging import OUTPUTS, UNFINISHED, replacing, views_of
 from gsc_jax.scene import InputError
 
 NAMES = ("highlight.ply", "labels.npy", "masks/a.png", "report.html", "result.json")
@@ -40,6 +41,7 @@ def test_files_of_the_earlier_run_are_replaced_or_removed(out):
     with replacing(out) as folder:
         write(folder, "new")
     assert set(contents(out)) == {*NAMES, "mine.txt"}
+    assert not (out / UNFINISHED).exists()
     assert {(out / name).read_text() for name in NAMES[:-1]} == {"new"}
 
 
@@ -54,23 +56,109 @@ def test_a_folder_or_file_in_the_way_leaves_everything_old(tmp_path, blocked):
     assert contents(tmp_path) == {str(mine.relative_to(tmp_path)): b"mine"}
 
 
-@pytest.mark.parametrize("moves", range(len(NAMES)))
-def test_a_disk_that_is_full_leaves_no_report_of_others(out, monkeypatch, moves):
-    """As being killed does: a report is only there beside the files that it is about."""
+class Killed(BaseException):
+    """Stands for kill -9: nothing is cleaned up after it."""
+
+
+def stop_at(move, error, monkeypatch):
+    """Raise an error instead of moving the file with this number."""
     replace, moved = Path.replace, []
 
-    def full(path: Path, target: Path) -> Path:
-        if len(moved) == moves:
-            raise OSError(28, "No space left on device")
-        moved.append(target)
+    def counted(path: Path, target: Path) -> Path:
+        if path.suffix != ".part":
+            if len(moved) == move:
+                raise error
+            moved.append(target)
         return replace(path, target)
 
-    monkeypatch.setattr(Path, "replace", full)
+    monkeypatch.setattr(Path, "replace", counted)
+
+
+@pytest.mark.parametrize("move", range(len(NAMES)))
+def test_a_disk_that_is_full_while_files_are_moved(out, monkeypatch, move):
+    stop_at(move, OSError(28, "No space left on device"), monkeypatch)
     with pytest.raises(InputError, match="No space left on device"), replacing(out) as folder:
         write(folder, "new")
+    assert not (out / "result.json").exists(), "it would describe other files"
+    assert (out / "report.html").exists() == (move == len(NAMES) - 1)
+
+
+@pytest.mark.parametrize("identity", [None, "views of this run"])
+@pytest.mark.parametrize("move", range(len(NAMES)))
+def test_a_run_that_is_killed_while_files_are_moved_is_finished_by_the_next(
+    out, monkeypatch, move, identity
+):
+    with monkeypatch.context() as patched:
+        patched.setattr(staging, "_end", lambda *_: None)
+        stop_at(move, Killed, patched)
+        with pytest.raises(Killed), replacing(out, identity=identity) as folder:
+            write(folder, "killed")
     assert not (out / "result.json").exists()
-    assert (out / "report.html").exists() == (moves == len(NAMES) - 1)
-    assert not list(out.glob(".*"))
+    with pytest.raises(ZeroDivisionError), replacing(out):
+        raise ZeroDivisionError
+    assert set(contents(out)) == set(NAMES), "a mask of the run before was left"
+    assert {(out / name).read_text() for name in NAMES[:-1]} == {"killed"}
+
+
+def test_views_are_kept_for_a_run_of_the_same_identity_only(tmp_path):
+    def interrupted(identity):
+        with contextlib.suppress(KeyboardInterrupt), replacing(tmp_path, identity=identity) as new:
+            views_of(new).mkdir(exist_ok=True)
+            found = [path.name for path in views_of(new).iterdir()]
+            (views_of(new) / "a.npy").touch()
+            raise KeyboardInterrupt
+        return found
+
+    found = [interrupted(identity) for identity in ("one", "one", "two", "two")]
+    assert found == [[], ["a.npy"], [], ["a.npy"]]
+    with replacing(tmp_path, identity="two") as folder:
+        write(folder, "new")
+        assert (views_of(folder) / "a.npy").exists()
+    assert set(contents(tmp_path)) == set(NAMES)
+
+
+def test_two_runs_do_not_write_into_one_folder(out):
+    before = contents(out)
+    with replacing(out) as folder:
+        write(folder, "new")
+        with pytest.raises(InputError, match="another run is writing"), replacing(out):
+            raise AssertionError("both runs write")
+        assert {name: contents(out)[name] for name in before} == before
+    assert (out / "labels.npy").read_text() == "new"
+
+
+@pytest.mark.parametrize("linked", ["masks", "masks/left", UNFINISHED])
+def test_nothing_outside_of_the_folder_is_removed_or_written(out, tmp_path, linked):
+    elsewhere = tmp_path / "holiday"
+    write(elsewhere, "mine", ("a.png", "b.png"))
+    if linked == "masks":
+        (out / "masks").rename(tmp_path / "masks")
+    (out / linked).symlink_to(elsewhere)
+    before = contents(elsewhere)
+    with pytest.raises(InputError, match="is a link"), replacing(out):
+        raise AssertionError("the run begins")
+    assert contents(elsewhere) == before
+
+
+@pytest.mark.parametrize("entry", ["moved", "removed"])
+def test_a_journal_from_elsewhere_does_not_reach_outside_of_the_folder(tmp_path, entry):
+    write(tmp_path / "out" / UNFINISHED / "new", "theirs", ("../../mine.txt",))
+    (tmp_path / "mine.txt").write_text("mine")
+    journal = {"moved": [], "removed": []} | {entry: ["../mine.txt"]}
+    (tmp_path / "out" / UNFINISHED / "journal.json").write_text(json.dumps(journal))
+    with pytest.raises(InputError, match="is not inside"), replacing(tmp_path / "out"):
+        raise AssertionError("the run begins")
+    assert (tmp_path / "mine.txt").read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    "listed", ["{", "[" * 100_000, "3", '{"outputs": [3, "masks/\\u0000.png"]}']
+)
+def test_a_damaged_report_of_an_earlier_run_is_replaced(out, listed):
+    (out / "result.json").write_text(listed)
+    with replacing(out) as folder:
+        write(folder, "new")
+    assert json.loads((out / "result.json").read_text())["run"] == "new"
 
 
 def test_the_target_of_a_link_is_kept(out, tmp_path):
@@ -115,17 +203,19 @@ def test_help_and_readme_list_every_output():
     assert set(OUTPUTS) <= set(re.findall(r"`(.+?)`", table))
 
 
-def test_a_signal_does_not_interrupt_moving_files(out, monkeypatch):
+@pytest.mark.parametrize("move", range(len(NAMES)))
+def test_a_signal_does_not_interrupt_moving_files(out, monkeypatch, move):
     replace, sent = Path.replace, []
 
-    def slow(path: Path, target: Path) -> Path:
-        if not sent:
-            sent.append(True)
-            os.kill(os.getpid(), signal.SIGINT)
+    def interrupted(path: Path, target: Path) -> Path:
+        if path.suffix != ".part":
+            sent.append(path)
+            if len(sent) == move + 1:
+                os.kill(os.getpid(), signal.SIGINT)
         return replace(path, target)
 
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    monkeypatch.setattr(Path, "replace", slow)
+    monkeypatch.setattr(Path, "replace", interrupted)
     try:
         with pytest.raises(KeyboardInterrupt), replacing(out) as folder:
             write(folder, "new")
@@ -133,17 +223,3 @@ def test_a_signal_does_not_interrupt_moving_files(out, monkeypatch):
         signal.signal(signal.SIGINT, before)
     assert set(contents(out)) == set(NAMES)
     assert {(out / name).read_text() for name in NAMES[:-1]} == {"new"}
-
-
-def test_abandoned_temporary_folders_are_removed(tmp_path):
-    old, new = tmp_path / f"{UNFINISHED}old", tmp_path / f"{UNFINISHED}new"
-    for folder in (old, new):
-        folder.mkdir()
-        (folder / "tamper.ply").write_bytes(b"half of it")
-    before = time.time() - ABANDONED_SECONDS - 60
-    os.utime(old, (before, before))
-    with replacing(tmp_path) as folder:
-        (folder / "labels.npy").write_bytes(b"labels")
-    assert not old.exists()
-    assert new.exists(), "another run may be using it"
-    assert (tmp_path / "labels.npy").exists()

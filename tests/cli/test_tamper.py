@@ -102,3 +102,12 @@ def test_invalid_options(room, tmp_path):
     assert str(room / "cameras.json") in refused(*argv, "--near", 50)
     assert "--edit" in unparsable(*argv, "--edit", "addition")
     assert not (tmp_path / "out").exists()
+
+
+def test_a_picture_of_another_origin_is_kept(room, tmp_path):
+    (tmp_path / "overview.png").write_bytes(b"mine")
+    argv = ["tamper", room / "scene.ply", "--cameras", room, "--out", tmp_path]
+    assert "overview.png: exists" in refused(*argv)
+    (tmp_path / "edit.json").write_text('{"outputs": []}')
+    assert "overview.png: exists" in refused(*argv)
+    assert (tmp_path / "overview.png").read_bytes() == b"mine"

@@ -32,7 +32,7 @@ def test_external_data_beside_the_model_are_read(tmp_path, location):
     ["{secret}", "../secret.bin", "link.bin", "linked/secret.bin", "loop.bin", "C:secret.bin"],
 )
 def test_external_data_outside_the_folder_are_refused(tmp_path, location):
-    """Onnxruntime refuses them from version 1.24, the minimum in pyproject.toml."""
+    """Onnxruntime refuses them from version 1.27, the minimum in pyproject.toml."""
     secret, folder = external_data(tmp_path / "secret.bin"), tmp_path / "model"
     folder.mkdir()
     (folder / "link.bin").symlink_to(secret)
@@ -40,6 +40,20 @@ def test_external_data_outside_the_folder_are_refused(tmp_path, location):
     (folder / "loop.bin").symlink_to(folder / "loop.bin")
     path = external_model(folder, location.format(secret=secret))
     assert "external tensors in the same folder" in refused(path)
+
+
+@pytest.mark.parametrize("location", ["{secret}", "../secret.bin", "link.bin"])
+@pytest.mark.parametrize("place", ["sparse", "constant", "branch", "function"])
+def test_external_data_of_other_tensors_are_refused(tmp_path, place, location):
+    """All places of a tensor other than the initializers of the main graph."""
+    secret, folder = external_data(tmp_path / "secret.bin"), tmp_path / "model"
+    folder.mkdir()
+    (folder / "link.bin").symlink_to(secret)
+    path = external_model(folder, location.format(secret=secret), place=place)
+    assert "external tensors in the same folder" in refused(path)
+    external_data(folder / "inside.bin")
+    session = open_session(external_model(folder, "inside.bin", place=place), threads=1)
+    np.testing.assert_array_equal(session.run(None, {"x": WEIGHTS})[0], 2 * WEIGHTS)
 
 
 @pytest.mark.parametrize("location", ["nope.bin", "", "sub", "short.bin", "*/_ORT_MEM_ADDR_/*"])

@@ -24,7 +24,7 @@ SECONDS = 20
 CODE = ("code", "pre", "script", "style")
 OPENED = (
     *("index", "tutorial", "commands", "method", "architecture", "formats", "detectors", "results"),
-    *("performance", "limits", "changelog", "reference/index", "reference/method"),
+    *("performance", "security", "limits", "changelog", "reference/index", "reference/method"),
 )
 """Pages that the browser opens; links are checked in the files of all pages."""
 

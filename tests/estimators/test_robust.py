@@ -124,7 +124,18 @@ def test_a_region_flagged_in_few_views_is_labelled_only_without_min_verdict():
     assert np.array_equal(without.labels, KINDS == DECOY)
 
 
-WRONG = {"mask_rule": "all", "sample": 0, "half_weight": 0.0, "threshold": 1.0, "min_verdict": -0.1}
+WRONG = {
+    "mask_rule": "all",
+    "sample": 0,
+    "half_weight": 0.0,
+    "threshold": 1.0,
+    "min_verdict": -0.1,
+    "tolerance": np.nan,
+    "seed": -1,
+    "restarts": 10**8,
+    "neighbours": 2.5,
+    "classes": (4, 10**8),
+}
 
 
 @pytest.mark.parametrize("name", WRONG)

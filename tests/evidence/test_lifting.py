@@ -4,11 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from hypothesis import given
+from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from strategies import blobs, camera, random_scene
 
-from gsc_jax.evidence.lifting import view_evidence
-from gsc_jax.evidence.storage import blank_evidence
+from gsc_jax.evidence.lifting import Evidence, SparseEvidence, sparse, view_evidence
 from gsc_jax.losses import loss_2d, loss_2d_from_evidence
 from gsc_jax.render.tiles import make_view
 from gsc_jax.splat import accumulate, composite
@@ -46,18 +46,27 @@ def test_the_gradient_from_evidence_is_that_of_the_rendered_loss(mask):
     np.testing.assert_allclose(jax.grad(rendered_loss)(r), gradient, rtol=1e-4, atol=1e-4)
 
 
-def test_large_evidence_lies_in_a_file_and_reads_the_same():
-    filled = [blank_evidence(3, 5, max_bytes_in_memory=limit) for limit in (0, 2**20)]
-    on_disk, in_memory = filled
-    assert isinstance(on_disk.total, np.memmap)
-    assert not isinstance(in_memory.total, np.memmap)
-    for evidence in filled:
-        assert evidence.none_flagged
-        assert not evidence.seen.any()
-        evidence.total[1], evidence.tampered[1] = np.arange(5), np.arange(5)
-        assert evidence.seen.tolist() == [False, True, True, True, True]
-        assert evidence.all_flagged
-        evidence.tampered[1, 2] = 0
-        assert not evidence.none_flagged
-        assert not evidence.all_flagged
-    assert np.array_equal(on_disk.tampered, in_memory.tampered)
+@st.composite
+def dense(draw):
+    """Evidence of V views of N Gaussians, most of it zero."""
+    shape = draw(st.tuples(st.integers(1, 4), st.integers(1, 30)))
+    weights = hnp.arrays(np.float32, shape, elements=st.sampled_from([0.0, 0.0, 0.0, 0.5, 2e-30]))
+    total = draw(weights)
+    return Evidence(total=total, tampered=np.minimum(total, draw(weights)))
+
+
+@given(dense(), st.data())
+def test_sparse_evidence_reads_as_the_dense_one(evidence, data):
+    views, count = evidence.shape
+    entries = [sparse(view) for view in evidence.views()]
+    thin = SparseEvidence(entries=entries, count=count)
+    assert thin.shape == evidence.shape
+    for name in ("total", "tampered", "seen", "weight", "none_flagged", "all_flagged"):
+        assert np.array_equal(getattr(thin, name), getattr(evidence, name)), name
+    start, end = sorted(data.draw(st.tuples(*[st.integers(0, count)] * 2)))
+    some = data.draw(hnp.arrays(int, 5, elements=st.integers(0, count - 1)))
+    for rows in (slice(start, end), slice(start, None), some):
+        for found, expected in zip(thin.of(rows), evidence.of(rows), strict=True):
+            assert np.array_equal(found, expected)
+    assert isinstance(thin.expanded(8 * views * count), Evidence)
+    assert thin.expanded(8 * views * count - 1) is thin

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from strategies import blobs, camera, floats
 
-from gsc_jax.evidence.masks import Labelled, normalise, rendered_share, view_mask
+from gsc_jax.evidence.masks import MIN_COVERAGE, Labelled, normalise, rendered_share, view_mask
 
 CAMERA = camera(33, 17)
 LEFT, RIGHT = [-0.5, 0, 2], [0.5, 0, 2]
@@ -72,3 +72,21 @@ def test_the_share_is_relative_to_alpha_and_0_on_empty_pixels():
     assert share[8, 11] == pytest.approx(1 / (1 + 0.5), rel=0.05)
     assert share[0, 32] == 0
     assert jnp.all(share <= 1 + 1e-6)
+
+
+def test_a_pixel_exactly_at_the_threshold_is_not_in_the_mask():
+    scene = blobs([LEFT, RIGHT], opacity=0.9)
+    scores = Labelled(np.array([0.8, 0.3], np.float32), np.array([True, True]))
+    share = rendered_share(scene, CAMERA, scores.tamper)
+    threshold = float(share[8, 11])
+    assert threshold > 0
+    mask = view_mask(scene, CAMERA, scores, threshold=threshold)
+    assert np.array_equal(mask, share > threshold)
+    assert not mask[8, 11]
+
+
+def test_a_pixel_with_little_alpha_has_no_share():
+    alpha = np.float32(MIN_COVERAGE)
+    for opacity, shown in ((0.5 * alpha, False), (1.5 * alpha, True)):
+        share = rendered_share(blobs([LEFT], opacity=opacity), CAMERA, np.ones(1))
+        assert share.max() == pytest.approx(float(shown), rel=1e-5)

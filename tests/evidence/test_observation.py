@@ -1,12 +1,16 @@
-"""Observation of all views: its input is checked before anything is rendered."""
+"""Observation of all views: input is checked before anything is rendered, and work is kept."""
 
 import dataclasses
 
 import numpy as np
 import pytest
-from strategies import blobs, camera
+from hypothesis import given
+from hypothesis.extra import numpy as hnp
+from strategies import blobs, camera, random_scene
 
 from gsc_jax import InputError, observe
+from gsc_jax.evidence.observation import EVIDENCE, MAP, half_precision
+from gsc_jax.evidence.storage import ArrayStore
 
 SCENE = blobs([[0, 0, 2]])
 CAMERA = dataclasses.replace(camera(16, 12), name="one")
@@ -29,3 +33,102 @@ def test_unusable_input_is_one_clear_error(cameras, detector, message):
 def test_a_detector_that_cannot_be_called_is_an_error():
     with pytest.raises(ValueError, match="got int"):
         observe(SCENE, [CAMERA], 3)  # type: ignore[arg-type]
+
+
+VIEWS = [dataclasses.replace(camera(16, 12), name=name) for name in ("a", "b", "c")]
+CLOUD = random_scene(50)
+
+
+class Network:
+    """A detector that counts its calls and stops the run at one of them."""
+
+    needs_image = True
+
+    def __init__(self, fails_at=None):
+        self.judged, self.fails_at = [], fails_at
+
+    def select(self, cameras):
+        return list(cameras)
+
+    def __call__(self, image, camera):
+        if camera.name == self.fails_at:
+            raise KeyboardInterrupt
+        self.judged.append(camera.name)
+        return image[..., 0].clip(0, 1)
+
+
+def equal(one, other):
+    """Whether two observations are the same to the bit."""
+    pairs = [(one.evidence.total, other.evidence.total)]
+    pairs += [(one.evidence.tampered, other.evidence.tampered)]
+    pairs += [(one.votes.tampered, other.votes.tampered)]
+    pairs += [(one.probabilities[name], other.probabilities[name]) for name in one.masks]
+    return all(np.array_equal(*pair) for pair in pairs)
+
+
+@pytest.mark.parametrize("fails_at", ["a", "b", "c"])
+def test_an_interrupted_observation_continues_and_is_the_same(tmp_path, fails_at):
+    expected, first, second = observe(CLOUD, VIEWS, Network()), Network(fails_at), Network()
+    with pytest.raises(KeyboardInterrupt):
+        observe(CLOUD, VIEWS, first, store=ArrayStore(tmp_path))
+    continued = observe(CLOUD, VIEWS, second, store=ArrayStore(tmp_path))
+    assert first.judged + second.judged == ["a", "b", "c"], "no view is judged twice"
+    assert equal(continued, expected)
+
+
+def test_nothing_is_rendered_for_views_that_were_judged(tmp_path, monkeypatch):
+    store = ArrayStore(tmp_path)
+    expected = observe(CLOUD, VIEWS, Network(), store=store)
+    for file in tmp_path.glob(f"{EVIDENCE}-*"):
+        file.unlink()
+    monkeypatch.setattr("gsc_jax.evidence.observation.render_view", None)
+    assert equal(observe(CLOUD, VIEWS, Network("a"), store=store), expected)
+
+
+@pytest.mark.parametrize("limit", [0, 500, 10_000, 2**30])
+def test_a_bound_on_memory_changes_no_result(limit):
+    bounded = observe(CLOUD, VIEWS, Network(), store=ArrayStore(max_bytes=limit))
+    assert equal(bounded, observe(CLOUD, VIEWS, Network()))
+
+
+def test_a_temporary_folder_goes_with_its_store(monkeypatch, tmp_path):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    store = ArrayStore(max_bytes=10)
+    store.put(MAP, "small", np.zeros(10, np.uint8))
+    assert not list(tmp_path.iterdir())
+    store.put(MAP, "large", np.arange(9))
+    assert len(list(tmp_path.iterdir())) == 1
+    assert store.get(MAP, "large").tolist() == list(range(9))
+    del store
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_file_that_was_only_begun_does_not_count(tmp_path):
+    store = ArrayStore(tmp_path)
+    store.put(MAP, "a", np.arange(100))
+    (file,) = tmp_path.iterdir()
+    assert store.has(MAP, "a")
+    file.write_bytes(file.read_bytes()[:-8])
+    assert not store.has(MAP, "a")
+    assert not store.has(MAP, "b")
+
+
+def test_a_full_disk_is_one_clear_error(tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(np, "save", full)
+    with pytest.raises(InputError, match="No space left on device"):
+        ArrayStore(tmp_path).put(MAP, "a", np.arange(3))
+
+
+@given(
+    hnp.arrays(
+        np.float32, 20, elements=hnp.from_dtype(np.dtype("float32"), min_value=0, max_value=1)
+    )
+)
+def test_rounding_moves_no_pixel_across_the_threshold(probability):
+    rounded = half_precision(probability)
+    assert np.array_equal(rounded > 0.5, probability > 0.5)
+    np.testing.assert_allclose(rounded, probability, atol=5e-4)
+    assert half_precision(np.float32([0.5, np.nextafter(np.float32(0.5), 1)]))[1] > 0.5

@@ -1,15 +1,18 @@
 """Forensic evidence: combination of classifier and traces, and its use by `locate`."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from export import exported
-from forensics_cases import BASE, PEAK, changed, evidence_of, two_groups
+from forensics_cases import BASE, PEAK, changed, classified, evidence_of, two_groups
 
 from gsc_jax import locate
 from gsc_jax.benchmark.metrics import auc, truth_mask
 from gsc_jax.benchmark.scenes import tampered_room
 from gsc_jax.forensics.calibration import LEVEL_BESIDE_TRACES, SURE_PROBABILITY, UNSURE_LEVEL
-from gsc_jax.forensics.evidence import estimate_from_attributes, forensic_evidence
+from gsc_jax.forensics.evidence import combine, estimate_from_attributes, forensic_evidence
+from gsc_jax.forensics.traces import Trace
 
 MADE = tampered_room(count=6_000, views=2, heldout=1, width=64, height=48, seed=12)
 SAVED = exported(MADE.gaussians, seed=12)
@@ -66,6 +69,29 @@ def test_trace_suffices_alone_and_raises_the_level_of_the_others():
     assert not evidence.without_traces.traces
 
 
+@pytest.mark.parametrize("score", [0.0, 0.5, 0.9])
+def test_scene_is_edited_if_classifier_or_strongest_trace_is_right(score):
+    traces = [trace(score, 0.0), trace(0.0, score / 2)]
+    combined = combine(classified([BASE, BASE], 0.3), traces)
+    assert combined.verdict == pytest.approx(1 - 0.7 * (1 - score))
+    assert combined.without_traces.verdict == pytest.approx(0.3)
+
+
+def trace(*score: float, name: str = "quantisation") -> Trace:
+    return Trace(name=name, score=np.array(score, np.float32), explanation="")
+
+
+def test_thresholds_of_scores_are_exclusive_and_that_of_the_scene_is_inclusive():
+    evidence = evidence_of([BASE, 0.0, PEAK], 0.5)
+    score = float(evidence.probability[1])
+    finding = estimate_from_attributes(evidence, threshold=score, min_verdict=evidence.verdict)
+    assert finding.labels.tolist() == [False, False, True]
+    assert finding.warnings == []
+    above = np.nextafter(evidence.verdict, 1)
+    (warning,) = estimate_from_attributes(evidence, min_verdict=above).warnings
+    assert "no evidence" in warning
+
+
 def test_unsure_classifier_labels_relative_to_the_peak():
     low, high = (BASE + (PEAK - BASE) * (UNSURE_LEVEL + off) for off in (-0.02, 0.02))
     finding = estimate_from_attributes(evidence_of([low, high, PEAK, BASE], UNSURE))
@@ -95,6 +121,27 @@ def test_traces_that_mark_little_above_the_gap_do_not_identify_the_edit():
 def test_trace_that_marks_most_labels_makes_the_prior_exact(marked, exact):
     rows = tuple(range(-marked, 0))
     assert evidence_of(two_groups(1, 2_000), rows=rows, name="quantisation").exact == exact
+
+
+@pytest.mark.parametrize(
+    ("marked", "name", "exact"),
+    [
+        ((0.0, 0.999), "quantisation", False),
+        ((0.999, 0.999), "quantisation", True),
+        ((0.5, 0.5), "quantisation", False),
+        ((0.999, 0.999), "copy-move", False),
+    ],
+)
+def test_trace_must_mark_more_than_half_of_the_labels(marked, name, exact):
+    combined = combine(classified([PEAK, PEAK, BASE]), [trace(*marked, 0.0, name=name)])
+    assert combined.exact == exact
+
+
+def test_unknown_gaussians_have_probability_0():
+    output = dataclasses.replace(classified([PEAK, PEAK]), known=np.array([True, False]))
+    probability = combine(output, ()).probability
+    assert probability[0] > 0.5
+    assert probability[1] == 0
 
 
 def test_nothing_is_labelled_below_the_minimum_verdict():

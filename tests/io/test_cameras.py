@@ -1,10 +1,11 @@
 """The cameras of a path are unambiguous, and saved cameras are read back unchanged."""
 
+import dataclasses
 import json
 
 import numpy as np
 import pytest
-from camera_files import assert_same, random_camera, write_colmap, write_json
+from camera_files import assert_same, inria_item, random_camera, write_colmap, write_json
 from data import DATA, SCENES, needs_data
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -56,7 +57,7 @@ def test_cameras_json_takes_precedence_and_other_sets_exclude_each_other(tmp_pat
 
 
 def test_duplicate_names_are_refused(tmp_path):
-    save_cameras(tmp_path / "cameras.json", [random_camera(0), random_camera(1)])
+    write_json(tmp_path / "cameras.json", [inria_item(random_camera(i)) for i in range(2)])
     with pytest.raises(InputError, match=r"cameras\.json: cameras 0 and 1 .*'a/b\.c\.png'"):
         load_cameras(tmp_path)
 
@@ -79,3 +80,53 @@ def test_other_files_are_refused(tmp_path, name, content, problem):
     with pytest.raises(InputError, match=problem) as error:
         load_cameras(path)
     assert str(error.value).startswith(f"{path}: ")
+
+
+def changed(**changes) -> list:
+    return [dataclasses.replace(random_camera(), **changes)]
+
+
+@pytest.mark.parametrize(
+    ("cameras", "problem"),
+    [
+        ([], "holds no cameras"),
+        ([random_camera(0), random_camera(1)], "cameras 0 and 1"),
+        (changed(viewmat=2 * np.eye(4, dtype=np.float32)), "contains a scale"),
+        (changed(viewmat=np.zeros((4, 4), np.float32)), "Singular"),
+        (changed(K=np.full((3, 3), np.nan, np.float32)), "fx: expected a finite number"),
+        (changed(K=np.zeros((3, 3), np.float32)), "fx: "),
+    ],
+)
+def test_cameras_that_could_not_be_read_again_are_not_written(tmp_path, cameras, problem):
+    with pytest.raises(InputError, match=problem) as error:
+        save_cameras(tmp_path / "cameras.json", cameras)
+    assert str(error.value).startswith(f"{tmp_path / 'cameras.json'}: not written: ")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"fx": 1e300},
+        {"fx": 1e-300},
+        {"cx": -1e200},
+        {"position": [0, 1e39, 0]},
+        {"rotation": [[1e200, 0, 0], [0, 1, 0], [0, 0, 1]]},
+        {"width": 10**7},
+        {"width": 10**400},
+        {"width": float("inf")},
+    ],
+)
+def test_numbers_beyond_float32_are_refused(tmp_path, change):
+    path = write_json(tmp_path / "cameras.json", [inria_item(random_camera()) | change])
+    with pytest.raises(InputError) as error:
+        load_cameras(path)
+    assert str(error.value).startswith(f"{path}: ")
+    assert len(str(error.value)) < 400
+
+
+def test_a_file_that_expands_beyond_the_memory_is_refused(tmp_path):
+    items = [inria_item(random_camera(i, name=str(i))) for i in range(5)]
+    path = write_json(tmp_path / "cameras.json", items)
+    with pytest.raises(InputError, match="of memory"):
+        load_cameras(path, max_bytes=10_000)

@@ -1,11 +1,17 @@
 """Compressed scenes are decoded by gsply, which never reads a plain or an unknown .ply."""
 
 import dataclasses
+import gzip
+import json
+import struct
 import sys
+import tracemalloc
+import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 from ply_files import assert_same
 from plyfile import PlyData
 from strategies import random_scene
@@ -87,3 +93,51 @@ def test_gsply_is_imported_for_compressed_scenes_only(tmp_path, monkeypatch):
         read_ply(tmp_path / "scene.spz")
     save_ply(tmp_path / "plain.ply", random_scene(7))
     assert len(load_ply(tmp_path / "plain.ply")) == 7
+
+
+def read_and_measure(path: Path, match: str, *, max_bytes: int = 2**26) -> None:
+    """Reading is refused, and has not taken more memory than it may."""
+    tracemalloc.start()
+    with pytest.raises(InputError, match=match):
+        read_ply(path, max_bytes=max_bytes)
+    assert tracemalloc.get_traced_memory()[1] < 2 * max_bytes
+    tracemalloc.stop()
+
+
+@pytest.mark.parametrize("count", [1, 2**32 - 1])
+def test_a_gzip_bomb_is_not_inflated(tmp_path, count):
+    header = struct.pack("<4sIIBBBB", b"NGSP", 3, count, 0, 12, 0, 0)
+    (tmp_path / "bomb.spz").write_bytes(gzip.compress(header + bytes(10**8)))
+    read_and_measure(tmp_path / "bomb.spz", r"bomb\.spz: takes .* of memory")
+
+
+def test_sizes_in_a_spz_of_version_4_are_checked(tmp_path):
+    zstandard = pytest.importorskip("zstandard")
+    frame = zstandard.ZstdCompressor().compress(bytes(10**8))
+    for size, match in ((10**8, "of memory"), (9, "larger than the table")):
+        header = struct.pack("<4sIIBBBBI12x", b"NGSP", 4, 1, 0, 12, 0, 5, 32)
+        table = struct.pack("<QQ", len(frame), size) * 5
+        (tmp_path / "bomb.spz").write_bytes(header + table + frame * 5)
+        read_and_measure(tmp_path / "bomb.spz", match)
+
+
+SOG_META = {"version": 2, "count": 1, "scales": {"codebook": [0] * 256}}
+
+
+@pytest.mark.parametrize(
+    ("meta", "size", "match"),
+    [
+        (json.dumps(SOG_META) + " " * 10**8, (2, 2), "of memory"),
+        (json.dumps(SOG_META), (4000, 4000), "of memory"),
+        (json.dumps(SOG_META | {"scales": {"codebook": [0] * 255}}), (2, 2), "255 entries"),
+        (json.dumps(SOG_META | {"sh0": {"mins": [0] * 3}}), (2, 2), "sh0.mins has 3 entries"),
+        (json.dumps(SOG_META | {"count": -1}), (2, 2), "no Gaussians"),
+    ],
+)
+def test_what_a_sog_expands_to_is_checked(tmp_path, meta, size, match):
+    pytest.importorskip("gsply")
+    Image.new("RGBA", size).save(tmp_path / "means.webp", lossless=True)
+    with zipfile.ZipFile(tmp_path / "bomb.sog", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("meta.json", meta)
+        archive.write(tmp_path / "means.webp", "means.webp")
+    read_and_measure(tmp_path / "bomb.sog", match)

@@ -1,5 +1,6 @@
 """Masks keep their decisions in files, and every layout of a mask file has one meaning."""
 
+import tracemalloc
 from pathlib import Path
 
 import hypothesis.extra.numpy as hnp
@@ -148,8 +149,8 @@ def test_files_that_are_not_masks_are_refused_in_one_line(tmp_path):
         "empty.png": "cannot be read",
         "folder.png": "is a folder",
         "missing.png": "no such file",
-        "pages.tif": "2 pages",
-        "frames.png": "2 pages",
+        "pages.tif": "several pages",
+        "frames.png": "several pages",
         "seven.tif": r"in \[0, 1\]",
         "nan.tif": r"in \[0, 1\]",
         "int.tif": "int32",
@@ -178,3 +179,30 @@ def test_image_paths_keep_dots_and_folders_of_names(tmp_path, name, file):
 def test_names_that_leave_the_folder_are_refused(name):
     with pytest.raises(InputError, match="cannot name a file"):
         masks.image_path(Path("out"), name)
+
+
+@pytest.mark.parametrize("name", ["a\0b", "x" * 300, "a/" + "é" * 150, "a/" * 1500 + "b", "\ud800"])
+def test_names_that_no_file_can_have_are_refused(name):
+    with pytest.raises(InputError, match="cannot name a file") as error:
+        masks.image_path(Path("out"), name)
+    assert len(str(error.value)) < 400
+
+
+def test_the_longest_name_can_be_written(tmp_path):
+    masks.write_mask(masks.image_path(tmp_path, "x" * masks.MAX_PART_BYTES), MASK)
+
+
+def test_large_images_are_refused_by_their_header(tmp_path):
+    Image.new("1", (9000, 9000)).save(tmp_path / "large.png")
+    tracemalloc.start()
+    with pytest.raises(InputError, match=r"large\.png: takes 2\.41 GiB of memory"):
+        masks.read_probability(tmp_path / "large.png", max_bytes=2**30)
+    assert tracemalloc.get_traced_memory()[1] < 2**22
+    tracemalloc.stop()
+
+
+def test_formats_for_which_other_programs_would_run_are_refused(tmp_path):
+    Image.fromarray(LEVELS).save(tmp_path / "page.eps")
+    (tmp_path / "page.eps").rename(tmp_path / "page.png")
+    with pytest.raises(InputError, match="cannot be read as an image"):
+        masks.read_probability(tmp_path / "page.png")

@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import time
 from pathlib import Path
 
 import numpy as np
@@ -204,3 +205,80 @@ def test_highlight_is_red_where_tampered_and_grey_elsewhere(tmp_path):
     np.testing.assert_allclose(rgb[~labels], rgb[~labels, :1] * np.ones(3))
     assert not written.sh[:, 1:].any()
     assert_same(dataclasses.replace(written, sh=SCENE.sh), SCENE)
+
+
+@pytest.mark.parametrize("text", [False, True])
+@pytest.mark.parametrize("lists", [False, True])
+def test_names_with_a_colon_are_kept(tmp_path, text, lists):
+    """The library plyfile itself cannot write them."""
+    path, names = tmp_path / "scene.ply", ["sem:class", *SMALL]
+    content = write_columns(path, {"sem_class": np.arange(7, dtype=np.uint8), **SMALL}, text=text)
+    content = content.read_bytes().replace(b"sem_class", b"sem:class")
+    if lists:
+        faces = b"element face 1\nproperty list uchar int ids\nend_header\n"
+        body = (
+            b"2 4 5\n"
+            if text
+            else np.array([2], "u1").tobytes() + np.array([4, 5], "<i4").tobytes()
+        )
+        content = content.replace(b"end_header\n", faces) + body
+    path.write_bytes(content)
+    save_tampered(path, read_ply(path), np.linspace(0, 1, 7))
+    scene = read_ply(path)
+    vertex = scene.ply["vertex"]
+    assert [prop.name for prop in vertex.properties] == [*names, "tamper"]
+    np.testing.assert_array_equal(vertex["sem:class"], np.arange(7))
+    np.testing.assert_array_equal(vertex["tamper"], np.linspace(0, 1, 7, dtype=np.float32))
+    assert_same(scene.gaussians, random_scene(7, degree=0))
+    if lists:
+        assert scene.ply["face"]["ids"][0].tolist() == [4, 5]
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "format ascii 1.0\nelement vertex 1000000000000\nproperty float x",
+        "format ascii 1.0\nelement vertex 1000000000000",
+        "format binary_little_endian 1.0\nelement vertex 1000000000000\nproperty list uchar int x",
+        "format binary_little_endian 1.0\nelement vertex 1000000000000",
+        "format binary_little_endian 1.0\nelement vertex -1\nproperty float x",
+        f"format ascii 1.0\nelement vertex {'9' * 5000}\nproperty float x",
+    ],
+)
+def test_headers_that_promise_more_than_the_file_holds_are_refused(tmp_path, header):
+    path = tmp_path / "scene.ply"
+    path.write_text(f"ply\n{header}\nend_header\n1\n")
+    with pytest.raises(InputError, match=r"scene\.ply: not a PLY file") as error:
+        read_ply(path)
+    assert len(str(error.value)) < 500
+
+
+def test_a_header_without_an_end_is_not_searched_for_it(tmp_path):
+    path = tmp_path / "scene.ply"
+    path.write_bytes(b"ply\n" + bytes(10**8))
+    began = time.perf_counter()
+    with pytest.raises(InputError, match="no header"):
+        read_ply(path)
+    assert time.perf_counter() - began < 1
+
+
+@pytest.mark.parametrize("text", [False, True])
+def test_scenes_beyond_the_memory_are_refused_before_they_are_read(tmp_path, text):
+    path = write_columns(tmp_path / "scene.ply", columns_of(random_scene(1000)), text=text)
+    assert len(read_ply(path, max_bytes=10**7).gaussians) == 1000
+    with pytest.raises(InputError, match="of memory"):
+        read_ply(path, max_bytes=10**5)
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [
+        dataclasses.replace(SCENE, sh=SCENE.sh[:, :2]),
+        dataclasses.replace(SCENE, means=np.full((7, 3), np.nan, np.float32)),
+        SCENE.take(np.arange(0)),
+    ],
+)
+def test_scenes_that_could_not_be_read_again_are_not_written(tmp_path, scene):
+    with pytest.raises(InputError, match=r"new\.ply: not written: expected Gaussians"):
+        save_ply(tmp_path / "new.ply", scene)
+    assert not list(tmp_path.iterdir())

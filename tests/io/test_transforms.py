@@ -73,3 +73,12 @@ def test_invalid_frames_are_named(tmp_path, data, problem):
         load_cameras(path)
     assert str(error.value).startswith(f"{path}: ")
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("name", ["/", "..", "", "a\0b", "x" * 5000])
+def test_paths_that_cannot_be_images_are_refused(tmp_path, name):
+    frame = {"file_path": name, "transform_matrix": np.eye(4).tolist()}
+    path = write_json(tmp_path / "transforms.json", {"fl_x": 100.0, "frames": [frame]})
+    with pytest.raises(InputError, match="lacks 'w' and 'h'") as error:
+        load_cameras(path)
+    assert str(error.value).startswith(f"{path}: frame 0")

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from strategies import ball
+from strategies import ball, with_row
 
-from gsc_jax.render.orbit import mean_up, orbit_cameras
+from gsc_jax.render.orbit import DEFAULT_UP, mean_up, orbit_cameras
 from gsc_jax.render.projection import project_centers
 from gsc_jax.scene import InputError
 
@@ -68,8 +68,51 @@ def test_a_single_gaussian_has_an_orbit():
     assert len(orbit_cameras(faint, 2)) == 2
 
 
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e30])
+def test_rows_that_cannot_be_rendered_are_ignored(value):
+    scene = ball(50)
+    broken = with_row(scene, "means", value, row=7)
+    rest = scene.take(np.delete(np.arange(50), 7))
+    for found, expected in zip(orbit_cameras(broken, 3), orbit_cameras(rest, 3), strict=True):
+        np.testing.assert_array_equal(found.viewmat, expected.viewmat)
+    nothing = dataclasses.replace(scene, means=np.full_like(scene.means, value))
+    with pytest.raises(InputError, match="no Gaussian that can be rendered"):
+        orbit_cameras(nothing, 3)
+
+
+@pytest.mark.parametrize("place", [0.0, 1e9])
+def test_a_point_without_extent_has_an_orbit(place):
+    scene = ball(2).take(np.array([1]))
+    scene = dataclasses.replace(
+        scene,
+        means=np.full((1, 3), place, np.float32),
+        log_scales=np.full((1, 3), -np.inf, np.float32),
+    )
+    assert all(np.isfinite(camera.viewmat).all() for camera in orbit_cameras(scene, 3))
+
+
+def test_directions_that_cancel_have_a_defined_mean():
+    camera = orbit_cameras(ball(20), 1)[0]
+    upside_down = np.diag([-1.0, -1.0, 1.0, 1.0]).astype(np.float32) @ camera.viewmat
+    cameras = [camera, dataclasses.replace(camera, viewmat=upside_down)]
+    np.testing.assert_array_equal(mean_up(cameras), DEFAULT_UP)
+
+
 @pytest.mark.parametrize(
-    "options", [{"n": 0}, {"fov_degrees": 180.0}, {"up": (0, 0, 0)}, {"up": (0, 1)}]
+    "options",
+    [
+        {"n": 0},
+        {"fov_degrees": 180.0},
+        {"fov_degrees": np.nan},
+        {"fov_degrees": 1e-300},
+        {"up": (0, 0, 0)},
+        {"up": (0, 1)},
+        {"up": (0, np.nan, 0)},
+        {"size": (0, 480)},
+        {"size": (640, -1)},
+        {"size": (1e300, 480)},
+        {"size": (np.nan, 480)},
+    ],
 )
 def test_invalid_orbits_are_refused(options):
     with pytest.raises(InputError, match="expected at least one camera"):

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 
 from gsc_jax.cli.options import View
 from gsc_jax.cli.results import read_results
+from gsc_jax.cli.staging import refuse_foreign_file
+from gsc_jax.cli.viewer.access import Access, guarded
 from gsc_jax.cli.viewer.contents import Contents, viewer_contents
 from gsc_jax.cli.viewer.controls import add_viewer
 from gsc_jax.cli.viewer.page import viewer_page
@@ -21,6 +23,8 @@ from gsc_jax.scene import InputError
 if TYPE_CHECKING:
     import viser
 
+TITLE_END = "gsc-jax</title>"
+"""In the title of every written page."""
 ALL_ADDRESSES = ("0.0.0.0", "::")
 """Hosts that stand for every address of this machine."""
 
@@ -55,12 +59,14 @@ def run_view(
     monitor.progress("load", 1, 1)
     if options.html is not None:
         return [write_page(options.html, contents)], notes
-    with serving(host=options.host, port=options.port) as server:
+    access = Access(host=options.host)
+    with serving(access, port=options.port) as server:
         add_viewer(server, contents)
-        for line in (_address_line(options, server.get_port()), *notes, "end with Ctrl-C"):
+        port = server.get_port()
+        for line in (_address_line(options, port, access.token), *notes, "end with Ctrl-C"):
             say(line)
         if not options.no_browser:
-            webbrowser.open(_url(options.host, server.get_port()))
+            webbrowser.open(_url(options.host, port, access.token))
         with contextlib.suppress(KeyboardInterrupt):
             (wait or threading.Event().wait)()
     return ["the server has ended"], []
@@ -68,7 +74,8 @@ def run_view(
 
 def write_page(path: Path, contents: Contents) -> str:
     """Write a page that needs neither server nor network, and describe it in a line."""
-    with serving(host="127.0.0.1", port=0) as server:
+    refuse_foreign_file(path, TITLE_END)
+    with serving(Access(host="127.0.0.1"), port=0) as server:
         add_layers(server, contents)
         add_cameras(server, contents)
         html = viewer_page(server.scene.as_html(dark_mode=True), contents)
@@ -78,17 +85,20 @@ def write_page(path: Path, contents: Contents) -> str:
 
 
 @contextlib.contextmanager
-def serving(*, host: str, port: int) -> Iterator["viser.ViserServer"]:
-    """Run an empty viser server inside a block; it uses the next free port if `port` is taken."""
+def serving(access: Access, *, port: int) -> Iterator["viser.ViserServer"]:
+    """Run an empty viser server inside a block; it uses the next free port if `port` is taken.
+
+    Requests without what `access` demands are refused.
+    """
     import rich
     import viser
 
     rich.reconfigure(quiet=True)  # viser prints its status with rich
-    server = viser.ViserServer(host=host, port=port, label="gsc-jax", verbose=False)
-    try:
+    with contextlib.ExitStack() as stack:
+        with guarded(access):
+            server = viser.ViserServer(host=access.host, port=port, label="gsc-jax", verbose=False)
+            stack.callback(server.stop)
         yield server
-    finally:
-        server.stop()
 
 
 def _check(options: View) -> None:
@@ -118,13 +128,13 @@ def _check_address(host: str, port: int) -> None:
         raise InputError(f"--port {port}: expected a number from 0 to 65535")
 
 
-def _address_line(options: View, port: int) -> str:
+def _address_line(options: View, port: int, token: str) -> str:
     note = f" (port {options.port} is taken)" if options.port not in (0, port) else ""
     if options.host in ALL_ADDRESSES:
-        note += f", from other machines http://{socket.gethostname()}:{port}"
-    return f"view     {_url(options.host, port)}{note}"
+        note += f", from other machines {_url(socket.gethostname(), port, token)}"
+    return f"view     {_url(options.host, port, token)}{note}"
 
 
-def _url(host: str, port: int) -> str:
+def _url(host: str, port: int, token: str) -> str:
     name = "localhost" if host in ALL_ADDRESSES else f"[{host}]" if ":" in host else host
-    return f"http://{name}:{port}"
+    return f"http://{name}:{port}/{token}/"

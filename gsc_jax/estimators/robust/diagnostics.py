@@ -4,7 +4,7 @@ import numpy as np
 
 from gsc_jax.estimators.protocol import DISAGREEMENT, NONE_FLAGGED, Prior, Reliability
 from gsc_jax.estimators.robust.class_roles import FULL_VIEW, Roles
-from gsc_jax.evidence.lifting import Evidence
+from gsc_jax.evidence.lifting import EvidenceOfViews
 
 MIN_SHARE = 0.05
 """Masks and prior may differ in this share of what one of them labels without a warning."""
@@ -12,7 +12,7 @@ FROM_PRIOR = " The labels come from the attributes of the Gaussians."
 
 
 def reliability(
-    evidence: Evidence, labels: np.ndarray, roles: Roles | None
+    evidence: EvidenceOfViews, labels: np.ndarray, roles: Roles | None
 ) -> tuple[Reliability, ...]:
     """Reliability of the mask of each view.
 
@@ -26,10 +26,11 @@ def reliability(
     """
     if roles is None or not labels.any():
         return ()
-    total, flagged = (
-        np.array([row[labels].sum(dtype=np.float64) for row in np.asarray(part)])
-        for part in (evidence.total, evidence.tampered)
-    )
+    sums = [
+        [np.asarray(part)[labels].sum(dtype=np.float64) for part in (view.total, view.tampered)]
+        for view in evidence.views()
+    ]
+    total, flagged = np.array(sums).T
     words = np.where(2 * flagged > total, "reliable", "uninformative")
     words = np.where(2 * total > FULL_VIEW * total.max(initial=0.0), words, "unseen")
     return tuple(np.where(roles.inverted, "inverted", words).tolist())

@@ -5,19 +5,15 @@ changes a label. Views are taken spread over the order of the cameras, in growin
 """
 
 import dataclasses
-import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
-import jax
 import numpy as np
 
 from gsc_jax.estimators.protocol import Estimator, Finding, Prior
-from gsc_jax.evidence.detector import Detector
-from gsc_jax.evidence.lifting import Evidence
+from gsc_jax.evidence.lifting import EvidenceOfViews
 from gsc_jax.evidence.monitor import Monitor
-from gsc_jax.evidence.observation import Observation, joined, observe
-from gsc_jax.evidence.storage import blank_evidence
-from gsc_jax.scene import Camera, Gaussians
+from gsc_jax.evidence.observation import Observation
+from gsc_jax.scene import Camera
 
 FIRST_BATCH = 12
 """Views before the first estimate; docs/results.md shows how many views the labels need."""
@@ -48,9 +44,8 @@ class EarlyStopping:
 
 
 def observe_until_stable(
-    gaussians: Gaussians,
+    observe: Callable[[Sequence[Camera]], Observation],
     cameras: Sequence[Camera],
-    detector: Detector,
     estimator: Estimator,
     *,
     prior: Prior | None = None,
@@ -59,24 +54,20 @@ def observe_until_stable(
     """Observe growing batches of views until the labels are stable.
 
     Args:
-        gaussians: N Gaussians.
+        observe: Observes views, of which it keeps what it did before (`observe` with a store).
         cameras: Cameras for all of which the detector has an output.
-        detector: The 2D detector.
         estimator: Its `tolerance` is the change of labels below which no more views are added.
         prior: Probability per Gaussian from another source.
-        monitor: Records the time of each stage and the progress over views.
+        monitor: Records the time of the estimates and the progress over views.
 
     Returns:
         The observation of the views used, the finding, and the reason to stop.
     """
     order, monitor = [cameras[k] for k in spread(len(cameras))], monitor or Monitor()
-    evidence, parts, changes = blank_evidence(len(order), len(gaussians)), [], []
-    before = None
-    for start, end in itertools.pairwise([0, *batches(len(order))]):
-        into = {"evidence": _rows(evidence, start, end), "near": estimator.near}
-        with monitor.batch(start, len(order)):
-            parts.append(observe(gaussians, order[start:end], detector, **into, monitor=monitor))
-        observation = joined(parts, _rows(evidence, 0, end))
+    changes, before = [], None
+    for end in batches(len(order)):
+        with monitor.expecting(len(order)):
+            observation = observe(order[:end])
         with monitor.stage("optimise"):
             finding = estimator.estimate(observation, prior)
         if before is not None:
@@ -105,12 +96,8 @@ def spread(count: int) -> list[int]:
     return [k for k in reversed_bits if k < count]
 
 
-def changed(before: np.ndarray, after: np.ndarray, evidence: Evidence) -> float:
+def changed(before: np.ndarray, after: np.ndarray, evidence: EvidenceOfViews) -> float:
     """Share of the weight labelled before or after whose label differs."""
-    weight = np.sum(evidence.total, axis=0)
+    weight = evidence.weight
     either = weight[before | after].sum()
     return float(weight[before ^ after].sum() / either) if either else 0.0
-
-
-def _rows(evidence: Evidence, start: int, end: int) -> Evidence:
-    return jax.tree.map(lambda part: part[start:end], evidence)

@@ -12,12 +12,18 @@ the same lambda2 in every view; `robust` infers the reliability of each mask ins
 """
 
 import dataclasses
-import math
-import typing
 
 import numpy as np
 
-from gsc_jax.estimators.protocol import Estimator, Finding, Prior, unanimous
+from gsc_jax.estimators.protocol import (
+    BELOW_1,
+    MAX_SEED,
+    Estimator,
+    Finding,
+    Prior,
+    check_fields,
+    unanimous,
+)
 from gsc_jax.estimators.robust import diagnostics
 from gsc_jax.estimators.robust.class_roles import Roles, assign_roles, scene_probability
 from gsc_jax.estimators.robust.gaussian_visibility import (
@@ -29,20 +35,25 @@ from gsc_jax.estimators.robust.gaussian_visibility import (
 from gsc_jax.estimators.robust.latent_classes import Fit, fit_classes
 from gsc_jax.estimators.robust.mean_field import smooth
 from gsc_jax.estimators.robust.prior_fusion import fuse, log_odds_of
-from gsc_jax.evidence.lifting import Evidence
+from gsc_jax.evidence.lifting import EvidenceOfViews
 from gsc_jax.evidence.masks import MaskRule
 from gsc_jax.evidence.observation import Observation
 from gsc_jax.render.projection import NEAR
 from gsc_jax.scene import Array
 
 RANGES: dict[str, tuple[float, float]] = {
-    **dict.fromkeys(("restarts", "sample", "neighbours"), (1, math.inf)),
+    "sample": (1, 10**9),
+    "seed": (0, MAX_SEED),
+    # All starts run at once; memory grows with their number, and with that of the neighbours.
+    **dict.fromkeys(("restarts", "neighbours"), (1, 1000)),
     **dict.fromkeys(("half_weight", "effective_pixels", "class_log_odds", "near"), (1e-9, 1e9)),
-    "smoothing": (0, 1e9),
-    "prior_weight": (0, 1),
-    **dict.fromkeys(("min_verdict", "tolerance", "threshold"), (0, math.nextafter(1, 0))),
+    "smoothing": (0.0, 1e9),
+    "prior_weight": (0.0, 1.0),
+    **dict.fromkeys(("min_verdict", "tolerance", "threshold"), (0.0, BELOW_1)),
 }
-"""Smallest and largest valid value of the numeric fields."""
+"""Smallest and largest valid value of the numeric fields; integers where the field is one."""
+MAX_CLASSES = 100
+"""Largest candidate number of classes; ten times what any scene of the tables has."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -98,15 +109,12 @@ class RobustEstimator(Estimator):
 
     def __post_init__(self) -> None:
         """Check the fields."""
-        rules = typing.get_args(MaskRule)
-        if self.mask_rule not in rules:
-            raise ValueError(f"mask_rule must be one of {', '.join(rules)}, got {self.mask_rule!r}")
-        if not isinstance(self.classes, tuple) or not self.classes or min(self.classes) < 2:
-            raise ValueError(f"classes must be a tuple of integers >= 2, got {self.classes}")
-        for name, (least, most) in RANGES.items():
-            if not least <= getattr(self, name) <= most:
-                bound = f"in [{least:g}, {most:g}{')' if most < 1 else ']'}"
-                raise ValueError(f"{name} must be {bound}, got {getattr(self, name)}")
+        check_fields(self, RANGES)
+        valid = isinstance(self.classes, tuple) and self.classes
+        if not valid or not all(count in range(2, MAX_CLASSES + 1) for count in self.classes):
+            raise ValueError(
+                f"classes must be a tuple of integers from 2 to {MAX_CLASSES}, got {self.classes}"
+            )
 
     @property
     def uses_prior(self) -> bool:
@@ -129,11 +137,11 @@ class RobustEstimator(Estimator):
         return self.estimate_from_evidence(observation.evidence, observation.gaussians.means, prior)
 
     def estimate_from_evidence(
-        self, evidence: Evidence, means: Array, prior: Prior | None = None
+        self, evidence: EvidenceOfViews, means: Array, prior: Prior | None = None
     ) -> Finding:
         """As `estimate`, for evidence (V, N) and positions (N, D) used only for neighbours."""
         prior = prior if self.uses_prior else None
-        trivial, views = unanimous(evidence), float(np.shape(evidence.total)[0])
+        trivial, views = unanimous(evidence), float(evidence.shape[0])
         if trivial and (prior is None or evidence.all_flagged):
             verdict = scene_probability(float(trivial.labels.any()), views)
             return dataclasses.replace(trivial, verdict=verdict)
@@ -159,7 +167,7 @@ class RobustEstimator(Estimator):
         )
 
     def from_masks(
-        self, evidence: Evidence, means: Array, *, flagged: bool = True
+        self, evidence: EvidenceOfViews, means: Array, *, flagged: bool = True
     ) -> "MaskEstimate":
         """Estimate the probability of each Gaussian from the masks alone.
 
@@ -200,7 +208,7 @@ class RobustEstimator(Estimator):
         return dataclasses.replace(estimate, probability=probability)
 
     def _classify(
-        self, evidence: Evidence, sample: np.ndarray, represents: np.ndarray
+        self, evidence: EvidenceOfViews, sample: np.ndarray, represents: np.ndarray
     ) -> tuple[Fit, Roles | None]:
         """Fit latent classes to sampled Gaussians (S,) and assign their roles."""
         seen, flagged = visibility(evidence, sample, self.half_weight)
@@ -241,7 +249,7 @@ class MaskEstimate:
     iterations: int = 0
 
 
-def pattern_distance(evidence: Evidence, roles: Roles, half_weight: float) -> np.ndarray:
+def pattern_distance(evidence: EvidenceOfViews, roles: Roles, half_weight: float) -> np.ndarray:
     """Number of views, weighted by visibility, in which a Gaussian differs from a class pattern.
 
     Args:
@@ -254,7 +262,7 @@ def pattern_distance(evidence: Evidence, roles: Roles, half_weight: float) -> np
     """
     inverted = roles.inverted[:, None]
     patterns = roles.patterns.astype(np.float32)
-    distance = np.empty((np.shape(evidence.total)[-1], len(patterns)), np.float32)
+    distance = np.empty((evidence.shape[1], len(patterns)), np.float32)
     for block in blocks(len(distance)):
         seen, flagged = visibility(evidence, block, half_weight)
         flagged = np.where(inverted, seen - flagged, flagged)

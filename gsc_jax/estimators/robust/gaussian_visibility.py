@@ -4,14 +4,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from gsc_jax.evidence.lifting import Evidence
+from gsc_jax.evidence.lifting import EvidenceOfViews
 
 BLOCK = 2**15
 """Gaussians whose evidence is in memory at once, 26 MB for 100 views."""
 
 
 def visibility(
-    evidence: Evidence, rows: np.ndarray | slice, half_weight: float
+    evidence: EvidenceOfViews, rows: np.ndarray | slice, half_weight: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Visibility of some Gaussians in each view, and the flagged part of it.
 
@@ -23,17 +23,18 @@ def visibility(
     Returns:
         total / (total + half_weight) and tampered / (total + half_weight), shapes (V, M).
     """
-    total = np.asarray(evidence.total)[:, rows]
-    tampered = np.asarray(evidence.tampered)[:, rows]
+    total, tampered = evidence.of(rows)
     scale = 1.0 / (total + np.float32(half_weight))
     return total * scale, tampered * scale
 
 
-def summed_visibility(evidence: Evidence, half_weight: float) -> tuple[np.ndarray, np.ndarray]:
+def summed_visibility(
+    evidence: EvidenceOfViews, half_weight: float
+) -> tuple[np.ndarray, np.ndarray]:
     """`visibility` of all Gaussians summed over the views, shapes (N,)."""
     sums = [
         [part.sum(axis=0) for part in visibility(evidence, block, half_weight)]
-        for block in blocks(np.shape(evidence.total)[-1])
+        for block in blocks(evidence.shape[1])
     ]
     seen, flagged = (np.concatenate(parts) for parts in zip(*sums, strict=True))
     return seen, flagged

@@ -18,6 +18,7 @@ from selenium.webdriver.support.expected_conditions import frame_to_be_available
 from selenium.webdriver.support.ui import WebDriverWait
 
 from gsc_jax.cli.results import read_results
+from gsc_jax.cli.viewer.access import Access
 from gsc_jax.cli.viewer.contents import Contents, viewer_contents
 from gsc_jax.cli.viewer.controls import add_viewer
 from gsc_jax.cli.viewer.poses import Pose
@@ -175,13 +176,13 @@ class TestServedPage:
     @pytest.fixture(scope="class")
     @staticmethod
     def server(shown) -> Iterator["viser.ViserServer"]:
-        with serving(host="localhost", port=0) as server:
+        with serving(Access(host="localhost", token="token"), port=0) as server:
             add_viewer(server, shown.contents)
             yield server
 
     @pytest.fixture
     def page(self, server, shown) -> Iterator[Shown]:
-        shown.open(f"http://localhost:{server.get_port()}").becomes(floor_is_shown)
+        shown.open(f"http://localhost:{server.get_port()}/token/").becomes(floor_is_shown)
         yield shown
         shown.check_console()
 

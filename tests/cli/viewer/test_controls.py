@@ -9,6 +9,7 @@ from results_folder import write_results
 
 from gsc_jax.cli.results import read_results
 from gsc_jax.cli.viewer import controls
+from gsc_jax.cli.viewer.access import Access
 from gsc_jax.cli.viewer.contents import viewer_contents
 from gsc_jax.cli.viewer.server import serving
 from gsc_jax.cli.viewer.splats import layer_colours
@@ -23,7 +24,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[controls.LayerI
     folder = tmp_path_factory.mktemp("controls") / "found"
     write_results(folder)
     contents, _ = viewer_contents(read_results(folder), most=10**6)
-    with serving(host="localhost", port=0) as server:
+    with serving(Access(host="localhost", token="token"), port=0) as server:
         yield controls.add_layer_controls(server, contents)
 
 

@@ -1,6 +1,7 @@
 """Start and end of the viewer, its output and its errors."""
 
 import gc
+import re
 import socket
 import sys
 import urllib.request
@@ -73,7 +74,8 @@ class TestRunView:
         monkeypatch.setattr(viewer.webbrowser, "open", opened.append)
         options = view(folder, no_browser=False)
         run_view(options, say=opened.append, wait=lambda: None)
-        assert opened[-1] == f"http://localhost:{options.port}"
+        assert re.fullmatch(rf"http://localhost:{options.port}/[\w-]{{22}}/", opened[-1])
+        assert opened[0].split()[1] == opened[-1], "another address was printed"
         opened.clear()
         run_view(view(folder), say=lambda _: None, wait=lambda: None)
         assert opened == []
@@ -109,6 +111,15 @@ class TestRunView:
         with pytest.raises(InputError, match=message) as raised:
             run_view(view(folder, **changes), wait=lambda: None)
         assert "\n" not in str(raised.value)
+
+    def test_only_a_written_page_is_replaced(self, folder, tmp_path):
+        page, other = tmp_path / "page.html", tmp_path / "report.html"
+        other.write_text("<!doctype html><title>mine</title>")
+        for _ in range(2):
+            run_view(view(folder, html=page, most=50))
+        with pytest.raises(InputError, match=r"report\.html: exists and is not from"):
+            run_view(view(folder, html=other))
+        assert "mine" in other.read_text()
 
     def test_page_that_cannot_be_written(self, folder, tmp_path):
         with pytest.raises(InputError, match="cannot be written"):

@@ -1,0 +1,54 @@
+"""JSON and TOML files as trees of dictionaries, lists, texts and numbers.
+
+Trees are shallow and their integers have at most 64 bits, so that any of them can be printed,
+validated and converted to floats.
+"""
+
+import json
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from gsc_jax.io.allocation import check_allocation
+from gsc_jax.io.validation import brief
+from gsc_jax.scene import InputError
+
+BYTES_PER_CHARACTER = 40
+"""Memory of a parsed tree per byte of text: an empty dictionary has 64 bytes for "{},"."""
+MAX_DEPTH = 100
+"""No file that this package reads is deeper than 8."""
+PARSERS = {".json": json.loads, ".toml": tomllib.loads}
+
+
+def read_table(path: Path, *, remedy: str, max_bytes: int | None = None) -> Any:
+    """Parse a file as TOML if its suffix is .toml, else as JSON.
+
+    Args:
+        path: The file, in UTF-8.
+        remedy: End of the error message, what to do about a damaged file.
+        max_bytes: Memory that may be allocated; see `memory_limit` for the default.
+
+    Raises:
+        InputError: If the file cannot be read, is too large, or is not valid.
+    """
+    suffix = ".toml" if path.suffix.lower() == ".toml" else ".json"
+    try:
+        check_allocation(path, BYTES_PER_CHARACTER * path.stat().st_size, max_bytes)
+        content = PARSERS[suffix](path.read_text(encoding="utf-8-sig"))
+        _check_tree(content, MAX_DEPTH)
+    except InputError:
+        raise
+    except (OSError, ValueError, RecursionError, MemoryError) as error:
+        kind = suffix[1:].upper()
+        raise InputError(f"{path}: not valid {kind} ({brief(error)}); {remedy}") from error
+    return content
+
+
+def _check_tree(tree: Any, depth: int) -> None:
+    if isinstance(tree, dict | list):
+        if not depth:
+            raise ValueError(f"more than {MAX_DEPTH} levels deep")
+        for entry in tree.values() if isinstance(tree, dict) else tree:
+            _check_tree(entry, depth - 1)
+    elif isinstance(tree, int) and not -(2**63) <= tree < 2**63:
+        raise ValueError("an integer of more than 64 bits")

@@ -9,15 +9,17 @@ PYTHON := python3
 VENV := .venv
 endif
 BIN := $(VENV)/bin
-LINT := .venv-lint
+PINNED := .venv-pinned
+EXTRAS := dev
 PIP := python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: help demo test lint fuzz bench results docs clean
+.PHONY: help demo test lint fuzz mutants bench results docs clean
 
 help:
 	@echo 'make demo    find a pasted object in a generated scene; results go to demo/'
 	@echo 'make test    all tests'
-	@echo 'make lint    ruff and pyright, pinned, in an environment of their own'
+	@echo 'make lint    ruff and pyright, in an environment with pinned versions'
+	@echo 'make mutants do the tests notice changed operators and numbers? (hours; SAMPLES=20)'
 	@echo 'make fuzz    damaged files of every format: make fuzz N=1000000 SEED=1'
 	@echo 'make bench   speed of splatting on this machine'
 	@echo 'make results every table and chart of docs/results.md (three to four hours)'
@@ -31,15 +33,18 @@ demo: $(VENV)/installed
 test: $(VENV)/installed-dev
 	$(BIN)/python -m pytest
 
-lint: $(LINT)/installed-dev
-	$(LINT)/bin/ruff check .
-	$(LINT)/bin/ruff format --check .
-	$(LINT)/bin/pyright --pythonpath $(LINT)/bin/python
+lint: $(PINNED)/installed-dev
+	$(PINNED)/bin/ruff check .
+	$(PINNED)/bin/ruff format --check .
+	$(PINNED)/bin/pyright --pythonpath $(PINNED)/bin/python
 
 N ?= 20000
 SEED ?= 0
 fuzz: $(VENV)/installed-dev
 	PYTHONPATH=tests $(BIN)/python -m fuzz --inputs $(N) --seed $(SEED)
+
+mutants: $(PINNED)/installed-dev
+	$(PINNED)/bin/python tests/mutation.py --samples $(or $(SAMPLES),20)
 
 bench: $(VENV)/installed
 	$(BIN)/python benchmarks/splat.py
@@ -60,7 +65,7 @@ clean:
 	rm -rf .venv .venv-* demo site build dist *.egg-info .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
-$(VENV)/installed $(LINT)/installed: %/installed: pyproject.toml
+$(VENV)/installed $(PINNED)/installed: %/installed: pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
 	  echo 'gsc_jax needs Python 3.11 or newer, found:'; $(PYTHON) --version; \
 	  echo 'Name another one: make $(MAKECMDGOALS) PYTHON=python3.12'; exit 1; } >&2
@@ -70,10 +75,11 @@ $(VENV)/installed $(LINT)/installed: %/installed: pyproject.toml
 	$*/bin/$(PIP) $(PINS) -e .
 	@touch $@
 
-$(VENV)/installed-dev $(LINT)/installed-dev: %/installed-dev: %/installed
-	$*/bin/$(PIP) $(PINS) -e '.[dev]'
+$(VENV)/installed-dev $(PINNED)/installed-dev: %/installed-dev: %/installed
+	$*/bin/$(PIP) $(PINS) -e '.[$(EXTRAS)]'
 	@touch $@
 
 # New annotations of a library must not fail the lint of code that did not change.
-$(LINT)/%: PINS := --constraint .ci/lint.txt
-$(LINT)/installed: .ci/lint.txt
+$(PINNED)/%: PINS := --constraint .ci/pinned.txt
+$(PINNED)/%: EXTRAS := dev,mutation
+$(PINNED)/installed: .ci/pinned.txt

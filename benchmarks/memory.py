@@ -10,6 +10,7 @@ small; the run is a process of its own, whose largest resident memory the system
 
 import argparse
 import dataclasses
+import json
 import os
 import subprocess
 import sys
@@ -36,7 +37,7 @@ PART = 2**18
 
 def main() -> int:
     """Make the input, run `locate`, and compare its peak memory with the bound."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--gaussians", type=float, default=3e6)
     parser.add_argument("--views", type=int, default=100)
     parser.add_argument("--size", type=int, nargs=2, default=(640, 480))
@@ -87,6 +88,10 @@ def measured(folder: Path, bound: float) -> bool:
     _, status, usage = os.wait4(process.pid, 0)
     peak, seconds = usage.ru_maxrss * 2**10 / GIB, time.perf_counter() - start
     print(f"peak {peak:.2f} GiB, bound {bound:g} GiB, {seconds:.0f} s, exit code {status >> 8}")
+    stages = json.loads((folder / "found" / "result.json").read_text())["stages"]
+    print(
+        {name: (round(s["seconds"]), round(s["peak_mib"] / 1024, 2)) for name, s in stages.items()}
+    )
     return status == 0 and peak < bound
 
 

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from boundary import sagd_boundary
 
-from gsc_jax.evidence.lifting import Evidence
+from gsc_jax.evidence.lifting import Evidence, EvidenceOfViews
 from gsc_jax.loop import adam, view_order
 from gsc_jax.losses import loss_2d_from_evidence
 from gsc_jax.scene import Array
@@ -62,7 +62,7 @@ def sagd_vote(votes: Tally, *, agreement: float = 0.7) -> np.ndarray:
 
 
 def sa3d(
-    evidence: Evidence,
+    evidence: EvidenceOfViews,
     *,
     price: float = 0.3,
     learning_rate: float = 1.0,
@@ -120,7 +120,7 @@ def _sa3d_step(state, kept, agrees, total, tampered, price, learning_rate):
     return jax.tree.map(lambda new, old: jnp.where(agrees, new, old), (moved, stepped), state)
 
 
-def flashsplat(evidence: Evidence, *, gamma: float = 0.0) -> np.ndarray:
+def flashsplat(evidence: EvidenceOfViews, *, gamma: float = 0.0) -> np.ndarray:
     """FlashSplat's closed form (Shen et al., FlashSplat, arXiv 2409.08270).
 
     With A1 and A0 the blending weight inside and outside of the masks over all views, scaled so

@@ -11,7 +11,6 @@ import dataclasses
 from collections.abc import Iterator
 
 import charts
-import jax
 import numpy as np
 import pandas as pd
 from cases import MADE, QUICK, Case, detector_masks, seen_from
@@ -26,6 +25,7 @@ from gsc_jax.benchmark.scenes import room_cameras
 from gsc_jax.benchmark.simulate import REGIMES
 from gsc_jax.estimators import RobustEstimator
 from gsc_jax.estimators.robust.early_stopping import batches, changed, spread
+from gsc_jax.evidence.lifting import Evidence
 
 VIEWS, WIDTH, HEIGHT = 72, 240, 180
 TOLERANCES = (0.1, 0.05, 0.02, 0.01, 0.0)
@@ -50,10 +50,11 @@ def rows_of(case: Case) -> Iterator[Row]:
 def with_more_views(one: CaseObservation) -> Iterator[tuple[Row, Prediction]]:
     """Predict from more and more views, and measure the change of the labels."""
     evidence, means = one.observation.evidence, np.asarray(one.case.gaussians.means)
-    order, labels = spread(len(evidence.total)), None
+    order, labels = spread(evidence.shape[0]), None
     estimator = RobustEstimator(seed=one.case.seed)
     for count in batches(len(order)):
-        some = jax.tree.map(lambda part, n=count: part[order[:n]], evidence)
+        chosen = order[:count]
+        some = Evidence(total=evidence.total[chosen], tampered=evidence.tampered[chosen])
         new = estimator.estimate_from_evidence(some, means).labels
         change = 1.0 if labels is None or not new.any() else changed(labels, new, some)
         labels = new

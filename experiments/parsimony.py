@@ -14,7 +14,6 @@ import itertools
 from collections.abc import Iterator, Mapping, Sequence
 
 import charts
-import jax
 import numpy as np
 from cases import Case, calibrated_mixture, detector_masks, reduced
 from methods import ALL_METHODS, labelled, predict_with
@@ -26,6 +25,7 @@ from tables import Frame, Row, markdown, where, write_section
 from gsc_jax.benchmark.metrics import mean_over_tampered_views
 from gsc_jax.benchmark.simulate import REGIMES
 from gsc_jax.estimators.gschecker import OFFICIAL, PAPER, GSChecker
+from gsc_jax.evidence.lifting import Evidence
 
 CHECKERS = {"GS-Checker official": OFFICIAL, "GS-Checker paper": PAPER}
 NAMES = (*CHECKERS, "FlashSplat", "robust")
@@ -87,7 +87,8 @@ def stopped(one: CaseObservation, estimator: GSChecker, share: float) -> Predict
     steps = round(share * estimator.epochs * count)
     views = min(steps, count) or count
     chosen = [k * count // views for k in range(views)]
-    evidence = jax.tree.map(lambda leaf: leaf[chosen], one.observation.evidence)
+    every = one.observation.evidence
+    evidence = Evidence(total=every.total[chosen], tampered=every.tampered[chosen])
     cameras = tuple(one.observation.cameras[k] for k in chosen)
     observation = dataclasses.replace(one.observation, evidence=evidence, cameras=cameras)
     fewer = dataclasses.replace(one, case=reduced(one.case, {}, views)[0], observation=observation)

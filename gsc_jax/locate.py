@@ -15,7 +15,6 @@ The steps, in the terms of GS-Checker (section 3), and where each is:
 import dataclasses
 import functools
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import jax
@@ -26,17 +25,14 @@ from gsc_jax.estimators import Estimator, Finding, Method, Prior, configured
 from gsc_jax.estimators.protocol import Reliability
 from gsc_jax.estimators.robust.early_stopping import EarlyStopping, observe_until_stable
 from gsc_jax.evidence.detector import Detector, as_detector
-from gsc_jax.evidence.masks import view_mask
+from gsc_jax.evidence.masks import stored_masks, view_mask
 from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.evidence.observation import EVIDENCE, Observation, check_cameras, observe
-from gsc_jax.evidence.storage import ArrayStore, ByView
+from gsc_jax.evidence.storage import ArrayStore
 from gsc_jax.forensics.evidence import ForensicEvidence, estimate_from_attributes, forensic_evidence
 from gsc_jax.render.visibility import check_views
 from gsc_jax.scene import Camera, Gaussians, invalid_rows
-from gsc_jax.scene.parallel import WORKERS, bounded_map
 
-MASK = "mask"
-"""Kind of the final masks in a store."""
 MIN_CONFIRMED = 0.1
 """Warn if the final masks cover less than this share of what the detector flagged."""
 
@@ -141,7 +137,7 @@ def locate(
     if given is None:
         store.release(EVIDENCE)  # the result keeps the store for its masks
     mask_of = functools.partial(_view_mask, gaussians, finding, estimator, monitor)
-    masks = _stored(mask_of, cameras, store, monitor)  # labels -> masks
+    masks = stored_masks(mask_of, cameras, store, monitor)  # labels -> masks
     if finding.verdict is None:  # `robust` explains disagreement by the reliability of masks
         warnings += _unconfirmed(found.flagged, masks)
     return Result(
@@ -252,22 +248,6 @@ def _view_mask(
     rule, threshold, near = estimator.mask_rule, estimator.threshold, estimator.near
     with monitor.stage("masks"):
         return view_mask(gaussians, camera, finding, rule=rule, threshold=threshold, near=near)
-
-
-def _stored(
-    mask_of: Callable[[Camera], np.ndarray],
-    cameras: Sequence[Camera],
-    store: ArrayStore,
-    monitor: Monitor,
-) -> ByView:
-    """Compute the mask of every view and put it into the store: tampered pixels by camera name."""
-    with ThreadPoolExecutor(WORKERS) as pool:
-        masks = zip(cameras, bounded_map(pool, mask_of, cameras), strict=True)
-        for done, (camera, mask) in enumerate(masks, start=1):
-            store.put(MASK, camera.name, mask)
-            monitor.progress("masks", done, len(cameras))
-    names = tuple(camera.name for camera in cameras)
-    return ByView(names, lambda name: np.array(store.get(MASK, name)))
 
 
 def _unconfirmed(flagged: Mapping[str, np.ndarray], masks: Mapping[str, np.ndarray]) -> list[str]:

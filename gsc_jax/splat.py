@@ -15,6 +15,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from gsc_jax.render.projection import MIN_ALPHA, NEAR
 from gsc_jax.render.spherical_harmonics import colors
@@ -184,7 +185,7 @@ def composite_with_alpha(view: View, features: Array) -> tuple[jax.Array, jax.Ar
 def require_finite(name: str, values: jax.Array) -> jax.Array:
     """Return the values; raise ValueError if one is not finite: 0 * NaN would fill the image."""
     # Traced values, as under `jax.grad`, are not known yet.
-    if not isinstance(values, jax.core.Tracer) and not np.isfinite(values).all():
+    if not isinstance(values, Tracer) and not np.isfinite(values).all():
         raise ValueError(f"{name} must be finite")
     return values
 

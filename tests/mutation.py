@@ -125,13 +125,15 @@ def mutants(path: str) -> Iterator[Mutant]:
             (node, start) for node in nodes for start, _ in operator.mutation_positions(node)
         )
         for occurrence, (node, start) in enumerate(positions):
-            if not annotation(node):
+            if not unseen(node):
                 yield Mutant(path, name, occurrence, start)
 
 
-def annotation(node: NodeOrLeaf) -> bool:
-    """Whether a node belongs to the annotation of an argument, a result or a variable."""
+def unseen(node: NodeOrLeaf) -> bool:
+    """Whether a node belongs to a decorator, or to the annotation of anything."""
     while parent := node.parent:
+        if parent.type == "decorator":
+            return True
         index = parent.children.index(node)
         before = parent.children[index - 1] if index else None
         if parent.type in ("tfpdef", "annassign", "funcdef") and before in (":", "->"):

@@ -106,3 +106,31 @@ def external_data(path: Path) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(WEIGHTS.tobytes())
     return path
+
+
+def slow_network(path: Path, steps: int) -> Path:
+    """An ONNX model that flags bright pixels, after a loop that signals cannot interrupt."""
+    body = helper.make_graph(
+        [
+            helper.make_node("Identity", ["go"], ["on"]),
+            helper.make_node("Add", ["sum", "nothing"], ["more"]),
+        ],
+        "step",
+        [
+            helper.make_tensor_value_info("step", TensorProto.INT64, []),
+            helper.make_tensor_value_info("go", TensorProto.BOOL, []),
+            helper.make_tensor_value_info("sum", FLOAT, [1]),
+        ],
+        [
+            helper.make_tensor_value_info("on", TensorProto.BOOL, []),
+            helper.make_tensor_value_info("more", FLOAT, [1]),
+        ],
+    )
+    nodes = [
+        helper.make_node("Loop", ["steps", "", "nothing"], ["late"], body=body),
+        helper.make_node("ReduceMax", ["image"], ["high"], axes=[1], keepdims=1),
+        helper.make_node("Add", ["high", "late"], ["map"]),
+    ]
+    constants = {"steps": np.array(steps, np.int64), "nothing": np.zeros(1, np.float32)}
+    tensors = {name: (FLOAT, [1, n, "h", "w"]) for name, n in (("image", 3), ("map", 1))}
+    return save(path, nodes, {"image": tensors["image"]}, {"map": tensors["map"]}, constants)

@@ -30,6 +30,10 @@ def test_the_first_step_has_the_length_of_the_learning_rate():
     np.testing.assert_allclose(state.r - R, [-0.25, 0.25, 0, 0, 0, 0], rtol=1e-4, atol=1e-6)
     assert info.loss_2d == pytest.approx(5 * 9 - 9e-6)
     assert info.group_sizes.tolist() == [2, 2, 2]
+    default = step(
+        init(R), lambda r: r[0], ATTRIBUTES_OF_SIX, config=LoopConfig(contrastive_start=9)
+    )
+    np.testing.assert_allclose(default[0].r - R, [-1, 0, 0, 0, 0, 0], rtol=1e-4, atol=1e-6)
 
 
 def test_the_3d_loss_starts_at_the_configured_iteration():
@@ -41,6 +45,14 @@ def test_the_3d_loss_starts_at_the_configured_iteration():
     moved = np.sign(state.r - R)
     assert moved.tolist() == [0, 0, 1, -1, 0, 0], "the 3D loss did nothing in the second phase"
     assert info.loss_3d == 0  # the two cancel
+
+
+def test_the_3d_loss_is_reported_as_0_before_it_starts():
+    r = np.array([9.0, 9.0, 0.5, 0.25, -9.0, -9.0], np.float32)
+    for start, loss in ((1, 0), (0, -(0.5 - 0.25) / 2)):
+        config = LoopConfig(contrastive_start=start)
+        _, info = step(init(r), zero_loss, ATTRIBUTES_OF_SIX, config=config)
+        assert info.loss_3d == pytest.approx(loss)
 
 
 def test_the_3d_loss_starts_after_half_of_the_iterations_by_default():
@@ -68,6 +80,8 @@ def test_the_order_of_views_is_reproducible_and_complete():
     assert view_order(3, epochs=2).tolist() == [0, 1, 2, 0, 1, 2]
     shuffled = view_order(20, epochs=3, shuffle=True, seed=1)
     assert np.array_equal(shuffled, view_order(20, epochs=3, shuffle=True, seed=1))
+    default = view_order(20, epochs=3, shuffle=True)
+    assert np.array_equal(default, view_order(20, epochs=3, shuffle=True, seed=0))
     assert not np.array_equal(shuffled, view_order(20, epochs=3, shuffle=True, seed=2))
     assert np.bincount(shuffled).tolist() == [3] * 20
     assert view_order(3, epochs=0).size == 0

@@ -35,7 +35,7 @@ def configured_estimator(options: Locate) -> Estimator:
     for name in ("threshold", "mask_rule", "epochs", "lambda2"):
         if getattr(options, name) is not None:
             changes[name] = getattr(options, name)
-    loop = getattr(base, "loop", None)
+    loop: Any = getattr(base, "loop", None)
     weights = {"lambda2": changes.pop("lambda2")} if loop and "lambda2" in changes else {}
     for name in changes.keys() - {field.name for field in dataclasses.fields(base)}:
         raise InputError(f"--{name}: does not apply to --method {options.method}")

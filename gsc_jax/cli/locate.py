@@ -5,6 +5,7 @@ import hashlib
 import uuid
 from pathlib import Path
 
+import jax
 import numpy as np
 
 from gsc_jax.cli.config_file import read_config_file
@@ -19,7 +20,7 @@ from gsc_jax.cli.locate_options import Locate
 from gsc_jax.cli.located import Located
 from gsc_jax.cli.outputs import planned_outputs, versions, write_report, write_results
 from gsc_jax.cli.scene_input import check_numbers, choose_cameras, naming, read_scene
-from gsc_jax.cli.staging import refuse_blocked, refuse_overlap, replacing, views_of
+from gsc_jax.cli.staging import refuse_blocked, refuse_foreign, refuse_overlap, replacing, views_of
 from gsc_jax.estimators.protocol import Estimator
 from gsc_jax.evidence.detector import Detector
 from gsc_jax.evidence.monitor import Monitor
@@ -74,10 +75,13 @@ def read_inputs(options: Locate, *, monitor: Monitor) -> Inputs:
     files = [path for path in files if path is not None]
     refuse_overlap(options.out, files)
     scene, cameras = read_scene(options, warnings, monitor)
+    # Once, since NumPy reads the arrays of JAX without copying, but not the other way round.
+    scene = dataclasses.replace(scene, gaussians=jax.device_put(scene.gaussians))
     if options.views:
         usable = detector.select(cameras) if detector else cameras
         cameras = choose_cameras(options, usable, warnings)
-    refuse_blocked(options.out, planned_outputs(cameras))
+    refuse_blocked(options.out, outputs := planned_outputs(cameras))
+    refuse_foreign(options.out, outputs, report="result.json")
     with naming(options.cameras or options.scene):
         check_views(scene.gaussians, cameras, near=options.near)  # `locate` repeats its warnings
     return Inputs(

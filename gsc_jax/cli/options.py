@@ -41,8 +41,8 @@ class SceneOptions:
         scene: Scene: a 3DGS .ply of any exporter; with the extra `formats` also compressed.ply, spz
             and sog.
         out: Folder for the results, created if missing.
-        cameras: cameras.json, transforms.json, a COLMAP model (extra `colmap`), or a folder that
-            holds one of them. Without it, cameras are placed on an orbit around the scene.
+        cameras: cameras.json, transforms.json, a COLMAP model, or a folder that holds one of
+            them. Without it, cameras are placed on an orbit around the scene.
         views: Use only this many cameras, evenly spaced in their order. On an orbit: the number of
             cameras, by default 24.
         scale: Image size relative to the size in the camera file.
@@ -160,7 +160,8 @@ class View:
         folder: Folder with the results of `locate`.
         html: Write a page that needs no server to this file, instead of serving one.
         port: Port of the server.
-        host: Address of the server; 0.0.0.0 lets other machines connect.
+        host: Address of the server; 0.0.0.0 lets other machines connect, if they are given the
+            printed address, which contains a random key.
         most: Maximum number of Gaussians: the tampered ones, then the largest and most opaque ones.
         no_browser: Do not open the page in a browser, only print its address.
     """

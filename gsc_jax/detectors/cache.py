@@ -85,7 +85,7 @@ class CachedDetector:
         )
 
     def _open(self) -> diskcache.Cache:
-        return diskcache.Cache(
+        return _ClosedIfBroken(
             str(self.folder),
             disk=_WithoutPickles,
             size_limit=self._max_bytes,
@@ -117,6 +117,17 @@ class CachedDetector:
                 cache.set(self._digest(image), buffer.getvalue())
         except Exception as error:  # of the file system, SQLite, diskcache
             self._failures.append(single_line(error))
+
+
+class _ClosedIfBroken(diskcache.Cache):
+    """A cache that does not leave the connection to a damaged database open."""
+
+    def __init__(self, *args: Any, **options: Any):
+        try:
+            super().__init__(*args, **options)
+        except Exception:
+            self.close()
+            raise
 
 
 class _WithoutPickles(diskcache.Disk):

@@ -24,6 +24,9 @@ from gsc_jax.splat import accumulate
 class EvidenceOfViews(abc.ABC):
     """What estimators read: the evidence of V views of N Gaussians, by view or by Gaussian."""
 
+    total: Array
+    tampered: Array
+
     @property
     @abc.abstractmethod
     def shape(self) -> tuple[int, int]:
@@ -129,12 +132,12 @@ class SparseEvidence(EvidenceOfViews):
         return both[0], both[1]
 
     @property
-    def total(self) -> np.ndarray:
+    def total(self) -> np.ndarray:  # pyright: ignore[reportIncompatibleVariableOverride]
         """Weight in pixels, shape (V, N) float32: 4 V N bytes, made anew whenever it is asked."""
         return self.of(slice(None))[0]
 
     @property
-    def tampered(self) -> np.ndarray:
+    def tampered(self) -> np.ndarray:  # pyright: ignore[reportIncompatibleVariableOverride]
         """Weight inside the masks, shape (V, N) float32: 4 V N bytes, made anew."""
         return self.of(slice(None))[1]
 

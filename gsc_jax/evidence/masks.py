@@ -7,20 +7,28 @@ views without the object; that rule is available as `per-view` for comparison.
 
 import dataclasses
 import typing
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Literal, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from gsc_jax.evidence.monitor import Monitor
+from gsc_jax.evidence.storage import ArrayStore, ByView
 from gsc_jax.render.projection import NEAR
 from gsc_jax.render.tiles import make_view, restricted
 from gsc_jax.scene import Array, Camera, Gaussians
+from gsc_jax.scene.parallel import WORKERS, bounded_map
 from gsc_jax.splat import composite_with_alpha, require_finite
 
 MaskRule = Literal["share", "attribute", "per-view"]
 MIN_COVERAGE = 0.1
 """Least alpha of a pixel in a mask: the truth in shared test data and experiments uses it, too."""
+
+MASK = "mask"
+"""Kind of the final masks in a store."""
 
 
 class Scored(Protocol):
@@ -92,6 +100,22 @@ def view_mask(
         return _per_view_mask(gaussians, camera, scored, threshold=threshold, near=near)
     feature, level = (scored.labels, 0.5) if rule == "share" else (scored.tamper, threshold)
     return rendered_share(gaussians, camera, feature, near=near) > level
+
+
+def stored_masks(
+    mask_of: Callable[[Camera], np.ndarray],
+    cameras: Sequence[Camera],
+    store: ArrayStore,
+    monitor: Monitor,
+) -> ByView:
+    """Compute the mask of every view and put it into the store: tampered pixels by camera name."""
+    with ThreadPoolExecutor(WORKERS) as pool:
+        masks = zip(cameras, bounded_map(pool, mask_of, cameras), strict=True)
+        for done, (camera, mask) in enumerate(masks, start=1):
+            store.put(MASK, camera.name, mask)
+            monitor.progress("masks", done, len(cameras))
+    names = tuple(camera.name for camera in cameras)
+    return ByView(names, lambda name: np.array(store.get(MASK, name)))
 
 
 def rendered_share(

@@ -90,7 +90,7 @@ def observe(
     names = tuple(camera.name for camera in cameras)
     store = store or ArrayStore()
     missing = [camera for camera in cameras if not store.has(EVIDENCE, camera.name)]
-    diagnostics = _restored(getattr(detector, "diagnostics", {}), names, store)
+    _restore_diagnostics(detector, names, store)
 
     def prepare(camera: Camera) -> tuple[View, np.ndarray | None]:
         image = detector.needs_image and not store.has(MAP, camera.name)
@@ -102,10 +102,7 @@ def observe(
         for camera, (view, image) in zip(missing, prepared, strict=True):
             if not store.has(MAP, camera.name):
                 with monitor.stage("detect"):
-                    probability = fit_to_view(detector(image, camera), camera)
-                found = json.dumps(diagnostics.get(camera.name)).encode()
-                store.put(DIAGNOSTICS, camera.name, np.frombuffer(found, np.uint8))
-                store.put(MAP, camera.name, half_precision(probability))
+                    _judge(detector, image, camera, store)
             yield camera, view
 
     def lift(job: tuple[Camera, View]) -> None:
@@ -162,14 +159,20 @@ def votes_of_view(gaussians: Gaussians, camera: Camera, mask: np.ndarray) -> Tal
     return jax.block_until_ready(tally(cast_votes(centers, depths, mask)[None]))
 
 
-def _restored(
-    diagnostics: dict[str, Any], names: Sequence[str], store: ArrayStore
-) -> dict[str, Any]:
-    """Put the diagnostics of the views that were judged before back into those of a detector."""
+def _judge(detector: Detector, image: np.ndarray | None, camera: Camera, store: ArrayStore) -> None:
+    """Run the detector on a view, and store its map and diagnostics."""
+    probability = fit_to_view(detector(image, camera), camera)
+    diagnostics = json.dumps(getattr(detector, "diagnostics", {}).get(camera.name)).encode()
+    store.put(DIAGNOSTICS, camera.name, np.frombuffer(diagnostics, np.uint8))
+    store.put(MAP, camera.name, half_precision(probability))
+
+
+def _restore_diagnostics(detector: Detector, names: Sequence[str], store: ArrayStore) -> None:
+    """Put the diagnostics of the views that were judged before back into those of the detector."""
+    diagnostics = getattr(detector, "diagnostics", {})
     for name in names:
         if store.has(MAP, name):
             diagnostics[name] = json.loads(bytes(store.get(DIAGNOSTICS, name)))
-    return diagnostics
 
 
 def half_precision(probability: np.ndarray) -> np.ndarray:

@@ -49,7 +49,10 @@ class Classifier:
 def smoothed_log_odds(features: Features, classifier: Classifier) -> np.ndarray:
     """Raw log odds of each Gaussian, smoothed over its neighbours, shape (N,) float32."""
     columns = [features.names.index(name) for name in classifier.names]
-    raw = raw_log_odds(features.values, classifier.networks, columns)
+    count = len(features.neighbourhoods.nearest)
+    blocks = (features.rows(slice(start, start + BLOCK)) for start in range(0, count, BLOCK))
+    raw = [raw_log_odds(block, classifier.networks, columns) for block in blocks]
+    raw = np.concatenate([np.zeros(0, np.float32), *raw])
     return smooth(np.clip(raw, -MAX_RAW_LOG_ODDS, MAX_RAW_LOG_ODDS), features.neighbourhoods)
 
 

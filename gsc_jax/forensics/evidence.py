@@ -72,7 +72,7 @@ def forensic_evidence(
     classifier = classifier or default_classifier()
     host = jax.tree.map(np.asarray, gaussians)
     usable = usable_rows(host)
-    sound = features.with_finite_scales(host.take(usable))
+    sound = features.with_finite_scales(host if usable.all() else host.take(usable))
     raw, neighbours = _classified(sound, classifier)
     known = usable & (len(raw) > 0)
     output = calibrate(raw, np.asarray(sound.means), known, classifier)

@@ -11,11 +11,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from gsc_jax.evidence.storage import ArrayStore
 from gsc_jax.forensics.copy_move import APPEARANCE_RADIUS, appearance
 from gsc_jax.render.spherical_harmonics import Y0
 from gsc_jax.scene import Gaussians
 from gsc_jax.scene.gaussians import rotation_matrices
 from gsc_jax.scene.neighbours import Neighbourhoods, neighbourhoods
+from gsc_jax.scene.parallel import in_blocks
 from gsc_jax.scene.statistics import median_and_mad
 
 NEIGHBOURS = 16
@@ -34,15 +36,29 @@ COLUMNS_PER_PASS = 8
 class Features:
     """Features of N Gaussians.
 
+    The values are finite and within +-`MAX_DEVIATION`. They take three times the memory of the
+    scene, so those of a large one lie in a file.
+
     Attributes:
-        values: Shape (N, F) float32, finite, within +-`MAX_DEVIATION`.
         names: Names of the F columns, `group.number.surroundings`.
         neighbourhoods: Neighbours of each Gaussian.
+        store: Arrays (N, columns) by surroundings and pass.
     """
 
-    values: np.ndarray
     names: tuple[str, ...]
     neighbourhoods: Neighbourhoods
+    store: ArrayStore
+
+    @property
+    def values(self) -> np.ndarray:
+        """All values, shape (N, F) float32."""
+        return self.rows(slice(None))
+
+    def rows(self, rows: slice) -> np.ndarray:
+        """The values of some Gaussians, shape (M, F) float32."""
+        passes = range(0, len(self.names) // len(SURROUNDINGS), COLUMNS_PER_PASS)
+        parts = [self.store.get(label, str(i))[rows] for label in SURROUNDINGS for i in passes]
+        return np.concatenate(parts, axis=1)
 
 
 def with_finite_scales(gaussians: Gaussians) -> Gaussians:
@@ -61,9 +77,9 @@ def compute_features(gaussians: Gaussians) -> Features:
     groups = _groups(gaussians, around)
     numbers = [f"{name}.{i}" for name, values in groups.items() for i in range(values.shape[1])]
     return Features(
-        values=_with_surroundings(_table(groups), around),
         names=tuple(f"{number}.{label}" for label in SURROUNDINGS for number in numbers),
         neighbourhoods=around,
+        store=_with_surroundings(_table(groups), around),
     )
 
 
@@ -87,20 +103,19 @@ def _table(groups: dict[str, np.ndarray]) -> np.ndarray:
     return np.concatenate([*columns, copies], axis=1, dtype=np.float32)
 
 
-def _with_surroundings(own: np.ndarray, around: Neighbourhoods) -> np.ndarray:
-    """Numbers (N, D) with their `SURROUNDINGS`, shape (N, 5 D)."""
-    count, width = own.shape
-    table = np.empty((count, len(SURROUNDINGS), width), np.float32)
-    for start in range(0, width, COLUMNS_PER_PASS):
-        columns = slice(start, start + COLUMNS_PER_PASS)
-        values = own[:, columns]
+def _with_surroundings(own: np.ndarray, around: Neighbourhoods) -> ArrayStore:
+    """Numbers (N, D) with their `SURROUNDINGS`, some columns at a time."""
+    store = ArrayStore()
+    for start in range(0, own.shape[1], COLUMNS_PER_PASS):
+        values = own[:, start : start + COLUMNS_PER_PASS]
         first = around.mean @ values
         second = around.mean @ first
         fourth = around.mean @ (around.mean @ second)
         spread = around.spread(values, first)
-        for i, statistic in enumerate((values, first, spread, second, fourth)):
-            table[:, i, columns] = statistic
-    return table.reshape(count, -1)
+        statistics = values, first, spread, second, fourth
+        for label, statistic in zip(SURROUNDINGS, statistics, strict=True):
+            store.put(label, str(start), statistic)
+    return store
 
 
 def _groups(gaussians: Gaussians, around: Neighbourhoods) -> dict[str, np.ndarray]:
@@ -133,7 +148,7 @@ def _colour_groups(sh: np.ndarray, around: Neighbourhoods) -> dict[str, np.ndarr
         "colour": np.column_stack([tone, saturation, relative, outside]),
         "contrast": np.column_stack([np.abs(contrast), np.hypot(*chromatic)]),
         "shading": _shading(lightness, chroma, around),
-        "harmonics": _harmonics(sh[:, 1:]),
+        "harmonics": in_blocks(_harmonics, sh[:, 1:]),
     }
 
 
@@ -162,10 +177,8 @@ def _direction_groups(gaussians: Gaussians, around: Neighbourhoods) -> dict[str,
     axes, logs = rotation_matrices(gaussians), np.asarray(gaussians.log_scales)
     rows = np.arange(len(logs))
     shortest, longest = axes[rows, :, logs.argmin(axis=1)], axes[rows, :, logs.argmax(axis=1)]
-    offsets = np.asarray(gaussians.means, np.float32)[around.nearest]
-    offsets -= offsets.mean(axis=1, keepdims=True)
-    covariance = np.einsum("nki,nkj->nij", offsets, offsets) / offsets.shape[1]
-    covariance /= (np.trace(covariance, axis1=1, axis2=2) + 1e-30)[:, None, None]
+    means = np.asarray(gaussians.means, np.float32)
+    covariance = in_blocks(lambda nearest: _covariance(means[nearest]), around.nearest)
     squared = np.einsum("nij,nij->n", covariance, covariance)
     volume = np.log(np.maximum(np.linalg.det(covariance), 1e-9))
     along = [np.einsum("ni,nij,nj->n", axis, covariance, axis) for axis in (shortest, longest)]
@@ -175,6 +188,13 @@ def _direction_groups(gaussians: Gaussians, around: Neighbourhoods) -> dict[str,
         "agreement": np.column_stack(agreement),
         "lighting": _lighting(np.asarray(gaussians.sh), shortest, around),
     }
+
+
+def _covariance(points: np.ndarray) -> np.ndarray:
+    """Covariance of K points each, (N, K, 3), scaled to a trace of 1, shape (N, 3, 3)."""
+    offsets = points - points.mean(axis=1, keepdims=True)
+    covariance = np.einsum("nki,nkj->nij", offsets, offsets) / offsets.shape[1]
+    return covariance / (np.trace(covariance, axis1=1, axis2=2) + 1e-30)[:, None, None]
 
 
 def _agreement(axis: np.ndarray, around: Neighbourhoods) -> np.ndarray:

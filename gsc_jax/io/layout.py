@@ -91,6 +91,7 @@ def _check_numeric(vertex: "PlyElement", names: tuple[str, ...], path: Path) -> 
 
 
 def _columns(vertex: "PlyElement", names: tuple[str, ...]) -> np.ndarray:
-    with np.errstate(over="ignore"):  # float64 beyond float32 becomes infinite: an invalid row
+    # Numbers of float64 beyond float32 become infinite, signalling NaNs quiet ones: invalid rows.
+    with np.errstate(over="ignore", invalid="ignore"):
         columns = [vertex.data[name] for name in names]
         return np.stack(columns, axis=1, dtype=np.float32, casting="unsafe")

@@ -158,11 +158,12 @@ def _has_second_frame(image: "PIL.Image.Image") -> bool:
 
 def _grey(pixels: np.ndarray, path: Path) -> np.ndarray:
     """Reduce two to four 8-bit channels to one, on black where there is alpha."""
-    colours = pixels[..., : 1 if pixels.shape[2] == 2 else 3]
-    lit = colours.any(axis=-1)
-    if np.ptp(colours, axis=-1).max() <= GREY_TOLERANCE_LEVELS:
-        grey = np.rint(colours.mean(axis=-1))
-    elif (colours[lit] == colours[lit][:1]).all():
+    # One plane per channel: reductions over a last axis of three are several times slower.
+    colours = np.ascontiguousarray(np.moveaxis(pixels, -1, 0)[: 1 if pixels.shape[2] == 2 else 3])
+    lit = colours.any(axis=0)
+    if np.ptp(colours, axis=0).max() <= GREY_TOLERANCE_LEVELS:
+        grey = np.rint(colours.mean(axis=0))
+    elif (colours[:, lit] == colours[:, lit][:, :1]).all():
         grey = lit * 255.0
     else:
         raise InputError(

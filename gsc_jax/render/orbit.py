@@ -99,7 +99,7 @@ def _extent(gaussians: Gaussians) -> tuple[np.ndarray, float]:
     radius = np.percentile(np.linalg.norm(means - center, axis=1), RADIUS_PERCENTILE)
     largest = np.asarray(gaussians.log_scales, np.float64).max(axis=1)
     # At a smaller distance, rounding would leave no direction from the camera to the centre.
-    least = np.finfo(np.float32).eps * max(1.0, np.abs(center).max())
+    least = float(np.finfo(np.float32).eps) * max(1.0, float(np.abs(center).max()))
     return center, max(float(radius), 3 * float(np.exp(np.median(largest))), least)
 
 

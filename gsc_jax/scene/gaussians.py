@@ -107,7 +107,7 @@ def invalid_rows(gaussians: Gaussians) -> dict[str, np.ndarray]:
         "scale not finite": ~(np.isfinite(host.log_scales) | np.isneginf(host.log_scales)).all(1),
         "scale too large (is it in log space?)": (host.log_scales > MAX_LOG_SCALE).any(axis=1),
         "rotation not finite": ~quats,
-        "rotation zero": quats & ~host.quats.any(axis=1),
+        "rotation zero": (host.quats == 0).all(axis=1),
         "opacity not a number": np.isnan(host.logit_opacities),
         "colour not finite": ~np.isfinite(host.sh).all(axis=(1, 2)),
         "position or colour out of all bounds": (np.abs(host.means) > MAX_MAGNITUDE).any(axis=1)

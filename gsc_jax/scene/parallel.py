@@ -1,4 +1,4 @@
-"""Apply a function to views in threads, with a bounded number of results in memory.
+"""Apply a function to views in threads or to rows in blocks, with a bound on memory.
 
 NumPy and XLA release the interpreter lock while they compute, so two threads use two cores.
 """
@@ -8,11 +8,15 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor, Future
 from typing import TypeVar
 
+import numpy as np
+
 Item = TypeVar("Item")
 Value = TypeVar("Value")
 
 WORKERS = 2
 """Threads, and items in flight: more of them only cost memory, since XLA has its own threads."""
+BLOCK = 2**18
+"""Rows per call of `in_blocks`: their intermediate results take a few hundred megabytes at most."""
 
 
 def bounded_map(
@@ -26,3 +30,9 @@ def bounded_map(
             yield waiting.popleft().result()
     while waiting:
         yield waiting.popleft().result()
+
+
+def in_blocks(function: Callable[[np.ndarray], np.ndarray], rows: np.ndarray) -> np.ndarray:
+    """Apply a function of each row on its own to blocks of rows, and concatenate the results."""
+    starts = range(0, max(len(rows), 1), BLOCK)
+    return np.concatenate([function(rows[start : start + BLOCK]) for start in starts])

@@ -1,5 +1,6 @@
 """--config: repeat a run, override its options, files written by hand, and invalid files."""
 
+import contextlib
 import dataclasses
 import json
 from pathlib import Path
@@ -9,6 +10,7 @@ from cli_case import FIXTURES, contents, given, network, refused, report, run, u
 
 from gsc_jax.cli.config_file import read_config_file
 from gsc_jax.estimators import METHODS, RobustEstimator
+from gsc_jax.scene import InputError
 
 case, found, own_cache = FIXTURES
 pytestmark = pytest.mark.usefixtures("own_cache")
@@ -173,6 +175,11 @@ def test_invalid_content(case, tmp_path, text, expected):
         ("run.yaml", "a: 1", "expected a .toml or .json"),
         ("run.json", "[]", "expected the tables"),
         ("edit.json", '{"command": {"edit": "removal"}}', "unknown key 'edit'"),
+        ("run.json", '{"config": ' + "[" * 10**5 + "]" * 10**5 + "}", "not valid JSON"),
+        ("run.json", '{"command": {"views": 1' + "0" * 400 + "}}", "64 bits"),
+        ("run.toml", "a." * 500 + "a = 1", "levels deep"),
+        ("run.toml", "[command]\nviews = 0x" + "f" * 5000, "64 bits"),
+        ("run.toml", "x" * 5000 + " = 1", "unknown key 'xxx"),
     ],
 )
 def test_files_of_another_kind(case, tmp_path, name, content, expected):
@@ -200,3 +207,14 @@ def test_every_field_of_every_estimator_survives_writing_and_reading(tmp_path, m
     table = dataclasses.asdict(config)
     file.write_text(json.dumps({"command": {"method": method}, "config": table}))
     assert read_config_file(file).estimator == config
+
+
+@pytest.mark.parametrize("change", [{"judged_views": 2**40}, {"config": {"loop": {}}}])
+def test_a_changed_report_is_read_or_refused(tmp_path, change):
+    """Findings of the fuzzer."""
+    table = {"command": {"method": "paper"}, "config": dataclasses.asdict(METHODS["paper"])}
+    table |= {"versions": {}, "outputs": [], "judged_views": 7} | change
+    file = tmp_path / "run.json"
+    file.write_text(json.dumps(table))
+    with contextlib.suppress(InputError):
+        assert read_config_file(file).method == "paper"

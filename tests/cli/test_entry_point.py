@@ -9,19 +9,16 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
 from camera_files import write_colmap
 from cli_case import FIXTURES, contents, given, record_network_views, report, run
-from onnx import TensorProto, helper
-from onnx_models import FLOAT, save
+from onnx_models import slow_network
 
 from gsc_jax.cli import detector_choice
 from gsc_jax.cli.staging import UNFINISHED
 from gsc_jax.io.cameras import load_cameras
 
 case, found, own_cache = FIXTURES
-BOOL, INT64 = TensorProto.BOOL, TensorProto.INT64
 ROOT = Path(__file__).resolve().parents[2]
 # A shell that runs the tests in the background makes them, and their children, ignore SIGINT.
 START = (
@@ -66,34 +63,6 @@ def interrupt(
     assert process.returncode == 128 + number
     assert out == ""
     assert err == "gsc-jax: interrupted; no file is left half written\n"
-
-
-def slow_network(path: Path, steps: int) -> Path:
-    """An ONNX model that flags bright pixels, after a loop that signals cannot interrupt."""
-    body = helper.make_graph(
-        [
-            helper.make_node("Identity", ["go"], ["on"]),
-            helper.make_node("Add", ["sum", "nothing"], ["more"]),
-        ],
-        "step",
-        [
-            helper.make_tensor_value_info("step", INT64, []),
-            helper.make_tensor_value_info("go", BOOL, []),
-            helper.make_tensor_value_info("sum", FLOAT, [1]),
-        ],
-        [
-            helper.make_tensor_value_info("on", BOOL, []),
-            helper.make_tensor_value_info("more", FLOAT, [1]),
-        ],
-    )
-    nodes = [
-        helper.make_node("Loop", ["steps", "", "nothing"], ["late"], body=body),
-        helper.make_node("ReduceMax", ["image"], ["high"], axes=[1], keepdims=1),
-        helper.make_node("Add", ["high", "late"], ["map"]),
-    ]
-    constants = {"steps": np.array(steps, np.int64), "nothing": np.zeros(1, np.float32)}
-    tensors = {name: (FLOAT, [1, n, "h", "w"]) for name, n in (("image", 3), ("map", 1))}
-    return save(path, nodes, {"image": tensors["image"]}, {"map": tensors["map"]}, constants)
 
 
 def test_while_a_network_runs(case, tmp_path, monkeypatch):

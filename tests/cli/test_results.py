@@ -123,6 +123,7 @@ class TestRefusals:
             {"verdict": "0.9"},
             {"verdict": -0.1},
             {"verdict": True},
+            {"verdict": float("inf")},
             {"tampered_share_of_views": 1.5},
             {"counts": {"tampered": -1, "gaussians": 1}},
             {"counts": {"tampered": "1", "gaussians": 1}},
@@ -135,6 +136,10 @@ class TestRefusals:
     def test_values_that_no_run_writes(self, folder, changes):
         rewrite_report(folder, **changes)
         assert refusal(folder).startswith(f"{folder / 'result.json'}: {next(iter(changes))}")
+
+    def test_counts_of_another_run(self, folder):
+        rewrite_report(folder, counts={"tampered": 500, "gaussians": 0})
+        assert "tamper.ply: result.json is of a different run" in refusal(folder)
 
     @pytest.mark.parametrize("score", [np.nan, -0.1, 1e300])
     def test_scores_that_are_no_probabilities(self, folder, score):

@@ -102,9 +102,10 @@ def test_a_run_that_is_killed_while_files_are_moved_is_finished_by_the_next(
 
 def test_views_are_kept_for_a_run_of_the_same_identity_only(tmp_path):
     def interrupted(identity):
+        found = []
         with contextlib.suppress(KeyboardInterrupt), replacing(tmp_path, identity=identity) as new:
             views_of(new).mkdir(exist_ok=True)
-            found = [path.name for path in views_of(new).iterdir()]
+            found += [path.name for path in views_of(new).iterdir()]
             (views_of(new) / "a.npy").touch()
             raise KeyboardInterrupt
         return found

@@ -143,6 +143,23 @@ def test_broken_cache_is_a_warning(tmp_path, broken):
     assert f"{folder}: the cache failed" in cached.warnings[-1]
 
 
+def test_no_connection_to_a_damaged_database_stays_open(tmp_path, monkeypatch):
+    """From Python 3.13 on, it is a ResourceWarning at a random later time."""
+    connections, connect = [], sqlite3.connect
+
+    def recorded(*args, **options) -> sqlite3.Connection:
+        connections.append(connect(*args, **options))
+        return connections[-1]
+
+    monkeypatch.setattr(sqlite3, "connect", recorded)
+    (tmp_path / "cache.db").write_bytes(b"no database" * 100)
+    CachedDetector(RedChannel(), tmp_path, "key")(IMAGE, VIEW)
+    assert connections
+    for connection in connections:
+        with pytest.raises(sqlite3.ProgrammingError, match="closed"):
+            connection.execute("SELECT 1")
+
+
 def test_least_recently_used_entries_are_evicted(tmp_path):
     images = np.random.default_rng(1).uniform(size=(30, 100, 100, 3)).astype(np.float32)
     detector = RedChannel()

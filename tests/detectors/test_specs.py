@@ -31,6 +31,8 @@ def test_toml_table_is_a_spec():
     ("field", "value"),
     [
         ("size", 0),
+        ("size", 65_537),
+        ("scale", 1e300),
         ("size", True),
         ("fit", "crop"),
         ("channels", "RGB"),

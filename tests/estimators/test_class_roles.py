@@ -28,6 +28,7 @@ def test_the_heaviest_class_is_authentic_and_the_most_flagged_tampered():
 def test_views_that_flag_the_authentic_class_are_inverted():
     found = roles([LOW, HIGH, LOW], [HIGH, LOW, HIGH])
     assert found.inverted.tolist() == [False, True, False]
+    assert found.patterns[0].tolist() == [False, False, False]
     assert found.patterns[1].tolist() == [True, True, True]
     kept = roles([LOW, HIGH, LOW], [HIGH, LOW, HIGH], inversion=False)
     assert not kept.inverted.any()

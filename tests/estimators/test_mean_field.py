@@ -1,6 +1,7 @@
 """Mean-field smoothing: which Gaussians change and which do not."""
 
 import numpy as np
+import pytest
 from scipy.special import softmax
 
 from gsc_jax.estimators.robust.mean_field import smooth
@@ -36,3 +37,20 @@ def test_unseen_gaussians_send_no_message():
     values = logits(1.0)
     values[[8, 9, 11, 12]] = [0, 50]
     assert smooth(values, TAMPERED, LINE, seen, strength=5, neighbours=4)[10, 0] > 0.9
+
+
+def test_the_neighbours_together_contribute_the_strength():
+    values = np.tile([50.0, 0.0], (20, 1))
+    values[10] = [0, 4]
+    smoothed = smooth(values, TAMPERED, LINE, ALL, strength=5, neighbours=4)
+    np.testing.assert_allclose(smoothed[10], softmax([5, 4]), rtol=1e-6)
+
+
+@pytest.mark.parametrize("tampered", [[False, False], [True, True]])
+def test_without_two_kinds_of_classes_or_enough_neighbours_nothing_changes(tampered):
+    values = logits(1.0)
+    expected = softmax(values, axis=1)
+    of_one_kind = smooth(values, np.array(tampered), LINE, ALL, strength=5, neighbours=4)
+    assert np.array_equal(of_one_kind, expected)
+    alone = smooth(values, TAMPERED, LINE, ALL, strength=5, neighbours=20)
+    assert np.array_equal(alone, expected)

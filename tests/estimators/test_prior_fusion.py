@@ -43,6 +43,30 @@ def test_shares_of_0_and_1_select_one_opinion(one, other):
     np.testing.assert_array_equal(linear_pool(one, other, np.ones(5)), other)
 
 
+@pytest.mark.parametrize(
+    ("one", "other", "share", "returned"),
+    [
+        ([0.6, 0], [0, 0.6], 0.6, "other"),
+        ([0.6, 0], [0, 0.6], 0.5, "one"),
+        ([0.6, 0], [0, 0.6], 0.4, "one"),
+        ([0.6, 0], [0, 0.1], 0.6, "one"),
+        ([0.1, 0], [0, 0.6], 0.4, "other"),
+        ([0.4, 0], [0, 0.4], 0.5, "pooled"),
+    ],
+)
+def test_the_pool_is_one_opinion_where_the_mean_would_label_nothing(one, other, share, returned):
+    one, other = np.array(one, np.float32), np.array(other, np.float32)
+    expected = {"one": one, "other": other, "pooled": (1 - share) * one + share * other}
+    result = linear_pool(one, other, np.full(2, share))
+    np.testing.assert_allclose(result, expected[returned], rtol=1e-6)
+
+
+def test_a_prior_that_alone_labels_leaves_unknown_gaussians_at_0():
+    known = np.array([True, False, True])
+    fused, _ = fuse(np.zeros(3, np.float32), 0.5, np.ones(3, bool), prior(np.ones(3), 0.4, known))
+    assert fused.tolist() == [1, 0, 1]
+
+
 def test_unseen_gaussians_follow_the_prior_and_unknown_ones_the_masks():
     masks, own = np.array([0, 1, 1], np.float32), np.array([1, 0, 0], np.float32)
     seen, known = np.array([False, True, True]), np.array([True, True, False])

@@ -46,6 +46,12 @@ def test_only_the_released_rule_ignores_occlusion():
     scene = blobs([[0, 0, 1], [0, 0, 1], [0, 0, 1], [0, 0, 3]], opacity=0.99, scale=0.5)
     assert mask_of(scene, [0, 0, 0, 1], "per-view").any()
     assert not mask_of(scene, [0, 0, 0, 1], "share").any()
+    large, hidden = blobs([[0, 0, 3]], opacity=0.9, scale=0.5), blobs([LEFT, [0, 0, 3]], scale=0.5)
+    hidden.log_scales[0] -= 1
+    hidden.logit_opacities[:] = [5, large.logit_opacities[0]]
+    alone = mask_of(large, [True], "per-view")
+    assert alone.sum() > 50
+    assert np.array_equal(mask_of(hidden, [False, True], "per-view"), alone)
 
 
 def test_only_the_released_rule_lifts_noise_to_1_in_views_without_the_object():
@@ -86,7 +92,12 @@ def test_a_pixel_exactly_at_the_threshold_is_not_in_the_mask():
 
 
 def test_a_pixel_with_little_alpha_has_no_share():
-    alpha = np.float32(MIN_COVERAGE)
+    alpha = float(np.float32(MIN_COVERAGE))
     for opacity, shown in ((0.5 * alpha, False), (1.5 * alpha, True)):
         share = rendered_share(blobs([LEFT], opacity=opacity), CAMERA, np.ones(1))
         assert share.max() == pytest.approx(float(shown), rel=1e-5)
+
+
+def test_a_feature_may_be_negative():
+    share = rendered_share(blobs([LEFT], opacity=0.9), CAMERA, np.full(1, -2))
+    assert share.min() == pytest.approx(-2, rel=1e-5)

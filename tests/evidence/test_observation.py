@@ -131,4 +131,4 @@ def test_rounding_moves_no_pixel_across_the_threshold(probability):
     rounded = half_precision(probability)
     assert np.array_equal(rounded > 0.5, probability > 0.5)
     np.testing.assert_allclose(rounded, probability, atol=5e-4)
-    assert half_precision(np.float32([0.5, np.nextafter(np.float32(0.5), 1)]))[1] > 0.5
+    assert half_precision(np.nextafter(np.full(1, 0.5, np.float32), np.float32(1)))[0] > 0.5

@@ -16,6 +16,7 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
+import jax
 import numpy as np
 from camera_files import inria_item, opengl_frame, opengl_intrinsics, random_camera
 from fuzz.harness import Format
@@ -115,14 +116,14 @@ def _compressed(version: int) -> bytes:
     """A .compressed.ply for 0, or a .spz of that version."""
     import gsply
 
-    scene = random_scene(COUNT)
+    scene = jax.tree.map(np.array, random_scene(COUNT))
     data = gsply.GSData.from_arrays(
         means=scene.means,
         scales=scene.log_scales,
         quats=np.array(scene.rotations),
         opacities=scene.logit_opacities,
-        sh0=scene.sh[:, 0],
-        shN=np.ascontiguousarray(scene.sh[:, 1:]),
+        sh0=scene.sh[:, 0].copy(),
+        shN=scene.sh[:, 1:].copy(),
         format="ply",
     )
     if version == 0:

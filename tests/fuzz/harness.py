@@ -23,8 +23,9 @@ from typing import Any
 
 from gsc_jax.scene import InputError
 
-MAX_SECONDS, KILL_SECONDS = 5, 10
-"""Time for an input, and until a process that does not react to its alarm is killed."""
+MAX_SECONDS, KILL_SECONDS = 5, 60
+"""Time of the processor for an input, so that other work on the machine does not count, and time
+until a process that does not react is killed."""
 MAX_BYTES = 2**30
 """Memory above that of the process after it has read the undamaged inputs."""
 MAX_MESSAGE = 2000
@@ -85,7 +86,12 @@ def fuzz(formats: Sequence[Format], seed: int, inputs: int, findings: Path) -> l
     tallies = [Tally(kind.name, share + (i < rest)) for i, kind in enumerate(formats)]
     position, index = 0, 0
     while position < len(formats):
-        position, index = _run_child(formats, seed, (position, index), tallies, findings)
+        # Not in the child, which may end without removing it.
+        with tempfile.TemporaryDirectory(
+            dir=SHARED_MEMORY if SHARED_MEMORY.is_dir() else None
+        ) as d:
+            start = position, index
+            position, index = _run_child(formats, seed, start, tallies, (findings, Path(d)))
         if position < len(formats) and len(tallies[position].findings) >= MAX_FINDINGS:
             tallies[position].inputs = index
             position, index = position + 1, 0
@@ -97,14 +103,20 @@ def _run_child(
     seed: int,
     start: tuple[int, int],
     tallies: list[Tally],
-    findings: Path,
+    folders: tuple[Path, Path],
 ) -> tuple[int, int]:
-    """Try inputs until the end, or until the process ends; return the place of the next one."""
+    """Try inputs until the end, or until the process ends; return the place of the next one.
+
+    The folders are those of the findings and of temporary files.
+    """
+    findings, place = folders
     context = multiprocessing.get_context("spawn")
     receiver, sender = context.Pipe(duplex=False)
     state = context.Array("d", len(State), lock=False)
     counts = [tally.inputs for tally in tallies]
-    process = context.Process(target=_child, args=(formats, seed, counts, start, sender, state))
+    process = context.Process(
+        target=_child, args=(formats, seed, counts, start, place, sender, state)
+    )
     process.start()
     sender.close()
     last, since, reason = [-1.0], time.monotonic(), "the process ended"
@@ -156,42 +168,39 @@ def _child(
     seed: int,
     counts: Sequence[int],
     start: tuple[int, int],
+    place: Path,
     sender: Connection,
     state: Any,
 ) -> None:
     """Send the problem of every finding, and the state at the end of each format."""
     warnings.simplefilter("ignore")
     warnings.simplefilter("error", RuntimeWarning)  # users would see them
-    signal.signal(signal.SIGALRM, _raise_hang)
-    root = Path(tempfile.mkdtemp(dir=SHARED_MEMORY if SHARED_MEMORY.is_dir() else None))
-    try:
-        for position in range(start[0], len(formats)):
-            first = start[1] if position == start[0] else 0
-            state[:] = [position, first, 0, 0, 0, 0, 0]
-            kind = formats[position]
-            before = _warm_up(kind, root / "warm")
-            state[State.STARTED] = 1
-            for index in range(first, counts[position]):
-                state[State.INDEX] = index
-                if problem := _try(kind, input_rng(kind, seed, index), root / "input", state):
-                    sender.send((position, index, problem))
-            state[State.PEAK] = _peak_bytes() - before
-            sender.send((position, 0, list(state)))
-    finally:
-        shutil.rmtree(root, ignore_errors=True)
+    signal.signal(signal.SIGPROF, _raise_hang)
+    for position in range(start[0], len(formats)):
+        first = start[1] if position == start[0] else 0
+        state[:] = [position, first, 0, 0, 0, 0, 0]
+        kind = formats[position]
+        before = _warm_up(kind, place / "warm")
+        state[State.STARTED] = 1
+        for index in range(first, counts[position]):
+            state[State.INDEX] = index
+            if problem := _try(kind, input_rng(kind, seed, index), place / "input", state):
+                sender.send((position, index, problem))
+        state[State.PEAK] = _peak_bytes() - before
+        sender.send((position, 0, list(state)))
 
 
 def _try(kind: Format, rng: Random, folder: Path, state: Any) -> str:
     """Make and read an input; return what is wrong, empty if nothing is."""
     folder.mkdir()
     path = kind.make(rng, folder)
-    began = time.perf_counter()
-    signal.setitimer(signal.ITIMER_REAL, MAX_SECONDS)
+    began = time.process_time()
+    signal.setitimer(signal.ITIMER_PROF, MAX_SECONDS)
     try:
         problem = _problem(kind, path, state)
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
-    state[State.SLOWEST] = max(state[State.SLOWEST], time.perf_counter() - began)
+        signal.setitimer(signal.ITIMER_PROF, 0)
+    state[State.SLOWEST] = max(state[State.SLOWEST], time.process_time() - began)
     shutil.rmtree(folder)
     return problem
 
@@ -244,7 +253,9 @@ def _peak_bytes() -> int:
 def table(tallies: list[Tally]) -> str:
     """The tallies as lines of a table, with their sum."""
     counts = ("inputs", "accepted", "refused")
-    total = Tally("all", *(sum(getattr(tally, name) for tally in tallies) for name in counts))
+    total = Tally("all")
+    for name in counts:
+        setattr(total, name, sum(getattr(tally, name) for tally in tallies))
     total.slowest = max(tally.slowest for tally in tallies)
     total.peak = max(tally.peak for tally in tallies)
     total.findings = [finding for tally in tallies for finding in tally.findings]

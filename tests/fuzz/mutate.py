@@ -90,7 +90,7 @@ def _damaged_tree(rng: Random, tree: Any) -> Any:
         tree[key:key] = [copy.deepcopy(tree[key])] * rng.choice((1, 3)) if key % 2 else []
         del tree[-1 if rng.random() < 0.5 else 0]
     elif rng.random() < 0.5:
-        tree[rng.choice((*TEXTS[:4], f"{key}x", key.upper()))] = tree.pop(key)
+        tree[rng.choice((*TEXTS[:4], f"{key}x", str(key).upper()))] = tree.pop(key)
     else:
         del tree[key]
     return tree

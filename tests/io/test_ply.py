@@ -282,3 +282,34 @@ def test_scenes_that_could_not_be_read_again_are_not_written(tmp_path, scene):
     with pytest.raises(InputError, match=r"new\.ply: not written: expected Gaussians"):
         save_ply(tmp_path / "new.ply", scene)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("kind", ["f4", "f8"])
+def test_signalling_nans_are_left_out_without_a_warning(tmp_path, kind):
+    bits = {"f4": np.uint32(0x7F800001), "f8": np.uint64(0x7FF0000000000001)}[kind]
+    for name in SMALL.keys() - set(NORMAL):
+        column = SMALL[name].astype(kind)
+        column.view(bits.dtype)[2] = bits
+        scene = read_ply(write_columns(tmp_path / "scene.ply", SMALL | {name: column}))
+        assert (sum(scene.dropped.values()), len(scene.rows)) == (1, 6), name
+
+
+def test_highlight_keeps_the_luminance_in_half_of_the_range(tmp_path):
+    bright = dataclasses.replace(SCENE, sh=np.zeros_like(SCENE.sh))
+    bright.sh[:, 0] = np.array([-9, 0, 0.5 / Y0, 9, 0, 0, 0])[:, None]
+    luminance = np.array([0, 0.5, 1, 1, 0.5, 0.5, 0.5])
+    labels = np.array([False] * 4 + [True] * 3)
+    save_highlight(tmp_path / "h.ply", bright, labels)
+    rgb = 0.5 + Y0 * load_ply(tmp_path / "h.ply").sh[:, 0]
+    np.testing.assert_allclose(rgb[:4, 0], 0.2 + 0.5 * luminance[:4], atol=1e-5)
+    np.testing.assert_allclose(rgb[4:], np.tile([0.75, 0.075, 0.075], (3, 1)), atol=1e-5)
+
+
+def test_values_of_any_shape_are_distributed_to_the_rows_of_the_file(tmp_path):
+    columns = {name: column.copy() for name, column in SMALL.items()}
+    columns["x"][[1, 4]] = np.nan
+    scene = read_ply(write_columns(tmp_path / "scene.ply", columns))
+    values = np.arange(10).reshape(5, 2)
+    expanded = scene.expand(values, fill=-1)
+    assert expanded[[0, 2, 3, 5, 6]].tolist() == values.tolist()
+    assert expanded[[1, 4]].tolist() == [[-1, -1], [-1, -1]]

@@ -41,7 +41,7 @@ def status(port: int, path: str, *headers: tuple[str, str]) -> int:
             return answer.status
 
 
-def messages(port: int, path: str, *, origin: str | None = None, host: str | None = None) -> bytes:
+def message(port: int, path: str, *, origin: str | None = None, host: str | None = None) -> object:
     """What the server sends first over a WebSocket."""
     protocol = Subprotocol(f"viser-v{viser.__version__}")
     with socket.create_connection(("127.0.0.1", port)) as plain:
@@ -52,7 +52,7 @@ def messages(port: int, path: str, *, origin: str | None = None, host: str | Non
             "subprotocols": [protocol],
         }
         with connect(address, proxy=None, **given) as connection:
-            return bytes(connection.recv(timeout=30))
+            return connection.recv(timeout=30)
 
 
 @pytest.mark.parametrize(
@@ -102,7 +102,7 @@ def test_nothing_outside_of_the_page_is_served(port):
 
 def test_the_scene_is_sent_to_the_page_only(port):
     own = f"http://127.0.0.1:{port}"
-    assert messages(port, WEBSOCKET, origin=own)
+    assert message(port, WEBSOCKET, origin=own)
     for given in (
         {"path": "/"},
         {"path": "/", "origin": own},
@@ -112,7 +112,7 @@ def test_the_scene_is_sent_to_the_page_only(port):
         {"path": WEBSOCKET, "origin": "http://evil.example", "host": "evil.example"},
     ):
         with pytest.raises(InvalidStatus) as raised:
-            messages(port, **given)
+            message(port, **given)
         assert raised.value.response.status_code == 403, given
 
 

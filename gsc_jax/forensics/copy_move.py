@@ -5,11 +5,14 @@ The duplicates of a copied region keep their arrangement: neighbours have their 
 together, although the compared attributes do not hold the position.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 
 from gsc_jax.forensics.traces import Trace, make_trace, region_scores
 from gsc_jax.scene import Gaussians
 from gsc_jax.scene.neighbours import nearest_neighbours
+from gsc_jax.scene.parallel import in_blocks
 
 APPEARANCE_RADIUS = 0.35
 """Distance of duplicates in `appearance`, above that of noise and 8-bit rounding."""
@@ -105,18 +108,29 @@ def appearance(gaussians: Gaussians) -> np.ndarray:
     """All attributes but the position, scaled so that noisy copies stay close, shape (N, D)."""
     quats = np.asarray(gaussians.quats)
     quats = quats / np.maximum(np.linalg.norm(quats, axis=1, keepdims=True), 1e-20)
-    rest = np.asarray(gaussians.sh[:, 1:]).reshape(len(gaussians), -1)
+    sh = np.asarray(gaussians.sh)
     columns = [
         2 * quats * np.where(quats[:, :1] < 0, -1, 1),
         np.clip(np.asarray(gaussians.logit_opacities)[:, None], -6, 6) / 2,
         np.asarray(gaussians.log_scales),
-        np.asarray(gaussians.sh)[:, 0],
+        sh[:, 0],
     ]
-    if rest.shape[1]:
-        rest = rest * (0.7 / (rest.std() + 1e-6))
-        sample = rest[:: -(-len(rest) // 4096)]
-        columns.append(rest @ np.linalg.svd(sample - sample.mean(axis=0))[2][:6].T)
+    if sh.shape[1] > 1:
+        columns.append(in_blocks(_projection(sh[:, 1:]), sh[:, 1:]))
     return np.concatenate(columns, axis=1, dtype=np.float32)
+
+
+def _projection(rest: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    """Function from bands above 0, (M, K, 3), to six principal components of all, (N, K, 3)."""
+
+    def sums(part: np.ndarray) -> np.ndarray:
+        return np.array([[part.sum(dtype=float), np.square(part).sum(dtype=float)]])
+
+    mean, square = in_blocks(sums, rest).sum(axis=0) / max(rest.size, 1)
+    scale = np.float32(0.7 / (np.sqrt(max(square - mean * mean, 0.0)) + 1e-6))
+    sample = rest[:: -(-len(rest) // 4096)].reshape(-1, 3 * rest.shape[1]) * scale
+    basis = scale * np.linalg.svd(sample - sample.mean(axis=0))[2][:6].T
+    return lambda part: part.reshape(len(part), -1) @ basis
 
 
 def similarity_invariants(gaussians: Gaussians) -> np.ndarray:

@@ -30,6 +30,8 @@ SURROUNDINGS = ("own", "mean", "spread", "second", "fourth")
 """A number itself, its mean and spread over the neighbours, its means over 2 and 4 steps."""
 COLUMNS_PER_PASS = 8
 """Columns averaged at once, which bounds the memory of intermediate results."""
+MAX_BYTES_IN_MEMORY = 2**28
+"""Size of the features in memory; about 350,000 Gaussians."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -105,7 +107,7 @@ def _table(groups: dict[str, np.ndarray]) -> np.ndarray:
 
 def _with_surroundings(own: np.ndarray, around: Neighbourhoods) -> ArrayStore:
     """Numbers (N, D) with their `SURROUNDINGS`, some columns at a time."""
-    store = ArrayStore()
+    store = ArrayStore(max_bytes=MAX_BYTES_IN_MEMORY)
     for start in range(0, own.shape[1], COLUMNS_PER_PASS):
         values = own[:, start : start + COLUMNS_PER_PASS]
         first = around.mean @ values
@@ -241,5 +243,9 @@ def _row_hashes(rows: np.ndarray) -> np.ndarray:
     """Hash of each row, equal for equal rows, shape (N,) uint64."""
     rng = np.random.default_rng(0)
     keys = rng.integers(1, 2**63, rows.shape[1], dtype=np.uint64) | np.uint64(1)
-    bits = (rows.astype(np.float32) + 0.0).view(np.uint32)  # -0 and 0 are equal
-    return (bits.astype(np.uint64) * keys).sum(axis=1, dtype=np.uint64)
+
+    def hashes(part: np.ndarray) -> np.ndarray:
+        bits = (part.astype(np.float32) + 0.0).view(np.uint32)  # -0 and 0 are equal
+        return (bits.astype(np.uint64) * keys).sum(axis=1, dtype=np.uint64)
+
+    return in_blocks(hashes, rows)

@@ -110,9 +110,15 @@ def invalid_rows(gaussians: Gaussians) -> dict[str, np.ndarray]:
         "rotation zero": (host.quats == 0).all(axis=1),
         "opacity not a number": np.isnan(host.logit_opacities),
         "colour not finite": ~np.isfinite(host.sh).all(axis=(1, 2)),
-        "position or colour out of all bounds": (np.abs(host.means) > MAX_MAGNITUDE).any(axis=1)
-        | (np.abs(host.sh) > MAX_MAGNITUDE).any(axis=(1, 2)),
+        "position or colour out of all bounds": _out_of_bounds(host.means, axis=1)
+        | _out_of_bounds(host.sh, axis=(1, 2)),
     }
+
+
+def _out_of_bounds(values: np.ndarray, axis: int | tuple[int, ...]) -> np.ndarray:
+    """Rows with a number of a magnitude above `MAX_MAGNITUDE`; without a copy of the numbers."""
+    above, below = values > MAX_MAGNITUDE, values < -MAX_MAGNITUDE
+    return np.asarray(above.any(axis=axis) | below.any(axis=axis))
 
 
 def usable_rows(gaussians: Gaussians) -> np.ndarray:

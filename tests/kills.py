@@ -25,7 +25,7 @@ from gsc_jax.cli.staging import UNFINISHED, VIEWS
 from gsc_jax.io.cameras import save_cameras
 from gsc_jax.io.ply import save_ply
 
-COUNT, SIZE, CAMERAS = 3_000, (96, 72), 8
+COUNT, SIZE, CAMERAS = 3_000, (96, 72), 5
 STEPS = 1_500_000
 """Steps of the loop of the network: about two seconds."""
 TIMES = ("seconds", "stages", "date", "command")

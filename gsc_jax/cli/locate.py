@@ -3,6 +3,7 @@
 import dataclasses
 import hashlib
 import uuid
+from importlib.metadata import distributions
 from pathlib import Path
 
 import jax
@@ -137,12 +138,14 @@ def run_locate(options: Locate, *, monitor: Monitor | None = None) -> Located:
 def _identity(inputs: Inputs) -> str:
     """Digest of all that determines the maps and the evidence of the views of a run."""
     digest = hashlib.blake2b(digest_size=16)
-    with inputs.options.scene.open("rb") as file:
-        digest.update(hashlib.file_digest(file, hashlib.blake2b).digest())
+    for values in jax.tree.leaves(inputs.scene.gaussians):
+        digest.update(np.ascontiguousarray(values).data)
     for camera in inputs.cameras:
         digest.update(repr((camera.name, camera.width, camera.height)).encode())
         digest.update(np.asarray(camera.viewmat).tobytes() + np.asarray(camera.K).tobytes())
     # Without a fingerprint, nothing is known about the outputs of another run.
     detector = getattr(inputs.detector, "fingerprint", uuid.uuid4().hex)
-    digest.update(repr((detector, inputs.estimator.near, sorted(versions().items()))).encode())
+    installed = {(package.name, package.version) for package in distributions()}
+    facts = detector, inputs.estimator.near, sorted(installed), sorted(versions().items())
+    digest.update(repr(facts).encode())
     return digest.hexdigest()

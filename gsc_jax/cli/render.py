@@ -71,4 +71,8 @@ def run_render(options: Render, *, monitor: Monitor) -> tuple[list[str], list[st
 def _planned(options: Render, cameras: Sequence[Camera]) -> list[str]:
     """Every file that is written, relative to the folder of --out."""
     images = [image_path(Path(), camera.name).as_posix() for camera in cameras]
-    return [*images, *([] if options.cameras else [CAMERAS]), REPORT]
+    reports = [*([] if options.cameras else [CAMERAS]), REPORT]
+    for name in images:
+        if PurePosixPath(name).parts[0] in reports:
+            raise InputError(f"camera of {name}: its name is that of a report; rename it")
+    return [*images, *reports]

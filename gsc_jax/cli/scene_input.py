@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path, PurePath
 
 from gsc_jax.cli.options import SceneOptions
+from gsc_jax.cli.staging import UNFINISHED
 from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.io.allocation import memory_limit
 from gsc_jax.io.cameras import load_cameras
@@ -102,6 +103,10 @@ def check_names(cameras: Sequence[Camera]) -> None:
     names: dict[PurePath, str] = {}
     for camera in cameras:
         path = image_path("masks", camera.name)
+        if UNFINISHED in path.parts:
+            raise InputError(
+                f"camera {camera.name!r}: the name {UNFINISHED} is reserved; rename it"
+            )
         if path in names:
             raise InputError(
                 f"cameras {names[path]!r} and {camera.name!r}: differ only in slashes; rename one"

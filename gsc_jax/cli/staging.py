@@ -11,6 +11,7 @@ them leaves the journal, and the next run begins by moving the rest.
 """
 
 import contextlib
+import hmac
 import json
 import shutil
 from collections.abc import Iterator, Sequence
@@ -18,6 +19,7 @@ from pathlib import Path, PurePosixPath
 
 import filelock
 
+from gsc_jax.cli.cache import seal
 from gsc_jax.io.tables import read_table
 from gsc_jax.scene import InputError
 
@@ -62,11 +64,12 @@ def refuse_overlap(
 
 def earlier_outputs(out: Path, report: str) -> set[str]:
     """Files in a folder that an earlier run has written, by its report or by its journal."""
-    listed: set[str] = set()
-    for path, key in ((out / report, "outputs"), (out / UNFINISHED / JOURNAL, "moved")):
-        with contextlib.suppress(InputError, LookupError, TypeError):
-            listed |= {str(PurePosixPath(name)) for name in read_table(path, remedy="")[key]}
-    return listed
+    names = _journal(out)["moved"]
+    with contextlib.suppress(InputError, LookupError, TypeError):
+        names = [*names, *read_table(out / report, remedy="")["outputs"]]
+    paths = [PurePosixPath(name) for name in names if isinstance(name, str) and "\0" not in name]
+    inside = [path for path in paths if path.parts and not path.is_absolute()]
+    return {str(path) for path in inside if ".." not in path.parts}
 
 
 def refuse_foreign(out: Path, names: Sequence[str], *, report: str) -> None:
@@ -121,7 +124,8 @@ def replacing(
                 yield work / NEW
                 with _naming(out):
                     _commit(work, out, _leftovers(out, report, by_camera, keep), report)
-                    shutil.rmtree(work / VIEWS, ignore_errors=True)
+                    if identity is not None:
+                        shutil.rmtree(work / VIEWS, ignore_errors=True)
             except InputError as error:
                 raise InputError(str(error).replace(str(work / NEW), str(out))) from error
             finally:
@@ -155,9 +159,10 @@ def refuse_blocked(out: Path, names: Sequence[str]) -> None:
 
 def _refuse_links(out: Path, by_camera: Sequence[str]) -> None:
     """Refuse links to folders where results are written: they may lead anywhere."""
-    folders = [out / name for name in (UNFINISHED, *by_camera)]
+    work, folders = out / UNFINISHED, [out / name for name in (UNFINISHED, *by_camera)]
     for place in [*folders, *(place for folder in folders for place in folder.rglob("*"))]:
-        if place.is_symlink() and not place.is_file():
+        # Elsewhere, a link to a file is replaced and not followed.
+        if place.is_symlink() and (work in place.parents or not place.is_file()):
             raise InputError(
                 f"{place}: is a link, and results are written inside {out} only; remove the link"
             )
@@ -185,16 +190,17 @@ def _locked(work: Path) -> Iterator[None]:
 
 
 def _begin(work: Path, out: Path, identity: str | None) -> None:
-    """Finish what a killed run has begun to move, and keep its views if they are of this run."""
+    """Finish what a killed run has begun to move, and keep its views unless this run has others."""
     _publish(work, out)
     shutil.rmtree(work / NEW, ignore_errors=True)
-    known = work / IDENTITY
-    if identity is None or not known.exists() or known.read_text(encoding="utf-8") != identity:
-        shutil.rmtree(work / VIEWS, ignore_errors=True)
-        known.unlink(missing_ok=True)
-    if identity is not None:
-        _write(known, identity)
     (work / NEW).mkdir()
+    if identity is None:
+        return
+    known, sealed = work / IDENTITY, _sealed(out, identity)
+    if not known.exists() or not hmac.compare_digest(known.read_bytes(), sealed):
+        if (work / VIEWS).exists():
+            shutil.rmtree(work / VIEWS)
+        _write(known, sealed)
 
 
 def _commit(work: Path, out: Path, leftovers: Sequence[str], report: str) -> None:
@@ -204,7 +210,7 @@ def _commit(work: Path, out: Path, leftovers: Sequence[str], report: str) -> Non
     last = [name for name in ("report.html", report) if name in names]
     moved = [*(name for name in names if name not in last), *last]
     removed = [*reversed(last), *(name for name in leftovers if name not in names)]
-    _write(work / JOURNAL, json.dumps({"moved": moved, "removed": removed}))
+    _write(work / JOURNAL, _sealed(out, json.dumps({"moved": moved, "removed": removed})))
     _publish(work, out)
 
 
@@ -213,14 +219,7 @@ def _publish(work: Path, out: Path) -> None:
 
     Old reports are removed first and new ones moved last: a folder with a report is complete.
     """
-    if not (work / JOURNAL).exists():
-        return
-    journal = read_table(work / JOURNAL, remedy=f"remove {work}")
-    moved, removed = journal["moved"], journal["removed"]
-    inside = out.resolve()
-    for name in (*moved, *removed):  # also in a folder that came from somebody else
-        if not (out / name).parent.resolve().is_relative_to(inside):
-            raise InputError(f"{out / name}: is not inside {out}; remove {work}")
+    moved, removed = _journal(out).values()
     waiting = [name for name in moved if (work / NEW / name).exists()]
     for name in removed:
         if name in waiting or name not in moved:
@@ -228,7 +227,7 @@ def _publish(work: Path, out: Path) -> None:
     for name in waiting:
         (out / name).parent.mkdir(parents=True, exist_ok=True)
         (work / NEW / name).replace(out / name)
-    (work / JOURNAL).unlink()
+    (work / JOURNAL).unlink(missing_ok=True)
 
 
 def _end(work: Path, out: Path) -> None:
@@ -240,9 +239,25 @@ def _end(work: Path, out: Path) -> None:
             (work / IDENTITY).unlink(missing_ok=True)
 
 
-def _write(path: Path, text: str) -> None:
+def _journal(out: Path) -> dict[str, list[str]]:
+    """What a killed run of this user has still to move and remove; empty lists if nothing."""
+    with contextlib.suppress(OSError, ValueError):
+        content = (out / UNFINISHED / JOURNAL).read_bytes()
+        text = content.partition(b"\n")[2].decode("utf-8")
+        # A journal from elsewhere could remove or replace anything in the folder.
+        if hmac.compare_digest(content, _sealed(out, text)):
+            return json.loads(text)
+    return {"moved": [], "removed": []}
+
+
+def _sealed(out: Path, text: str) -> bytes:
+    """A text that is valid for this user and this folder only, after a line with its seal."""
+    return f"{seal(f'{out.resolve()} {text}')}\n{text}".encode()
+
+
+def _write(path: Path, content: bytes) -> None:
     partial = path.with_suffix(".part")
-    partial.write_text(text, encoding="utf-8")
+    partial.write_bytes(content)
     partial.replace(path)
 
 

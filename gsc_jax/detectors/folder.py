@@ -58,10 +58,12 @@ class FolderDetector:
 
     @property
     def fingerprint(self) -> str:
-        """Digest of the names, sizes and times of the files."""
-        facts = [(file, (self.path / file).stat()) for file in self._files]
-        facts = [(file, stat.st_size, stat.st_mtime_ns) for file, stat in facts]
-        return hashlib.blake2b(repr(facts).encode(), digest_size=16).hexdigest()
+        """Digest of the names and contents of the files."""
+        digest = hashlib.blake2b(repr(self._files).encode(), digest_size=16)
+        for file in self._files:
+            with (self.path / file).open("rb") as stream:
+                digest.update(hashlib.file_digest(stream, hashlib.blake2b).digest())
+        return digest.hexdigest()
 
     def select(self, cameras: Sequence[Camera]) -> list[Camera]:
         """Cameras that have a mask, in their order.

@@ -184,8 +184,8 @@ def _find(
     if not (len(rows) and len(wanted)):
         return np.zeros(0, int), np.zeros((2, 0), np.int32)
     if consecutive:  # only this part of a file is read
-        start, end = np.searchsorted(rows, [wanted[0], wanted[-1] + 1])
+        start, end = np.searchsorted(rows, np.array([wanted[0], wanted[-1] + 1], rows.dtype))
         return rows[start:end] - wanted[0], np.ascontiguousarray(entries[1:, start:end])
-    place = np.minimum(np.searchsorted(rows, wanted), len(rows) - 1)
+    place = np.minimum(np.searchsorted(rows, wanted.astype(rows.dtype)), len(rows) - 1)
     at = np.flatnonzero(rows[place] == wanted)
     return at, np.ascontiguousarray(entries[1:, place[at]])

@@ -162,8 +162,10 @@ def votes_of_view(gaussians: Gaussians, camera: Camera, mask: np.ndarray) -> Tal
 def _judge(detector: Detector, image: np.ndarray | None, camera: Camera, store: ArrayStore) -> None:
     """Run the detector on a view, and store its map and diagnostics."""
     probability = fit_to_view(detector(image, camera), camera)
-    diagnostics = json.dumps(getattr(detector, "diagnostics", {}).get(camera.name)).encode()
-    store.put(DIAGNOSTICS, camera.name, np.frombuffer(diagnostics, np.uint8))
+    counts = getattr(detector, "diagnostics", {}).get(camera.name)
+    if counts is not None:
+        encoded = json.dumps(counts, default=float).encode()
+        store.put(DIAGNOSTICS, camera.name, np.frombuffer(encoded, np.uint8))
     store.put(MAP, camera.name, half_precision(probability))
 
 
@@ -171,7 +173,7 @@ def _restore_diagnostics(detector: Detector, names: Sequence[str], store: ArrayS
     """Put the diagnostics of the views that were judged before back into those of the detector."""
     diagnostics = getattr(detector, "diagnostics", {})
     for name in names:
-        if store.has(MAP, name):
+        if name not in diagnostics and store.has(DIAGNOSTICS, name):
             diagnostics[name] = json.loads(bytes(store.get(DIAGNOSTICS, name)))
 
 

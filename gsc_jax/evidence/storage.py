@@ -58,20 +58,21 @@ class ArrayStore:
         """Add an array, which must not change afterwards; raises InputError if a disk is full."""
         key = _key(kind, name)
         with self._lock:
-            self._free -= array.nbytes
-            if self._free >= 0:
+            if array.nbytes <= self._free:
+                self._free -= array.nbytes
                 self._in_memory[key] = array
                 return
-            folder = self._open()
         try:
+            folder = self._open()
             partial = folder / f"{key}.part"
             with partial.open("wb") as file:
                 np.save(file, array)
             partial.replace(folder / f"{key}.npy")
         except OSError as error:
             raise InputError(
-                f"{folder}: no space for the evidence and masks of the views ({error.strerror}); "
-                "free some, set TMPDIR or --out to another disk, or use fewer views"
+                f"{self._folder or tempfile.gettempdir()}: no space for the evidence and masks of "
+                f"the views ({error.strerror or error}); free some, set TMPDIR or --out to another "
+                "disk, or use fewer views"
             ) from error
 
     def release(self, kind: str) -> None:
@@ -82,11 +83,12 @@ class ArrayStore:
 
     def _open(self) -> Path:
         """The folder, created when it is first needed."""
-        if self._folder is None:
-            self._folder = Path(tempfile.mkdtemp(prefix="gsc-jax-"))
-            weakref.finalize(self, shutil.rmtree, self._folder, ignore_errors=True)
-        self._folder.mkdir(parents=True, exist_ok=True)
-        return self._folder
+        with self._lock:
+            if self._folder is None:
+                self._folder = Path(tempfile.mkdtemp(prefix="gsc-jax-"))
+                weakref.finalize(self, shutil.rmtree, self._folder, ignore_errors=True)
+            self._folder.mkdir(parents=True, exist_ok=True)
+            return self._folder
 
     def _read(self, key: str) -> np.ndarray:
         assert self._folder is not None, f"nothing was stored as {key}"
@@ -110,6 +112,10 @@ class ByView(Mapping[str, np.ndarray]):
         if name not in self._names:
             raise KeyError(name)
         return self._read(name)
+
+    def __reduce__(self) -> tuple[type, tuple[dict[str, np.ndarray]]]:
+        """Pickled as a dictionary, since files may not last."""
+        return dict, (dict(self),)
 
     def __iter__(self) -> Iterator[str]:
         """Names in the order of the views."""

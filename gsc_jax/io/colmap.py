@@ -31,8 +31,8 @@ MODELS = {
     "THIN_PRISM_FISHEYE": 12,
 }
 """Number of parameters of the camera models, in the order of their numbers in binary files."""
-BYTES_PER_BYTE = 8
-"""Memory per byte of a file: its longest line, and the images of the shortest lines."""
+BYTES_PER_BYTE = {True: 2, False: 8}
+"""Memory per byte of a binary file, and of a text: lines, and the images of the shortest lines."""
 
 
 class _Intrinsics(NamedTuple):
@@ -68,7 +68,8 @@ def read_colmap(folder: Path, *, max_bytes: int | None = None) -> list[Camera]:
     files = [folder / f"{kind}.{'bin' if binary else 'txt'}" for kind in ("cameras", "images")]
     file = files[0]
     try:
-        check_allocation(folder, BYTES_PER_BYTE * sum(f.stat().st_size for f in files), max_bytes)
+        size = sum(f.stat().st_size for f in files)
+        check_allocation(folder, BYTES_PER_BYTE[binary] * size, max_bytes)
         intrinsics = dict(read_cameras(file))
         file = files[1]
         images = sorted(read_images(file))

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from cli_case import contents
 
-from gsc_jax.cli import staging
+from gsc_jax.cli import cache, staging
 from gsc_jax.cli.locate_options import Locate
 from gsc_jax.cli.staging import OUTPUTS, UNFINISHED, replacing, views_of
 from gsc_jax.scene import InputError
@@ -128,6 +128,21 @@ def test_two_runs_do_not_write_into_one_folder(out):
     assert (out / "labels.npy").read_text() == "new"
 
 
+@pytest.fixture(autouse=True)
+def own_secret(tmp_path_factory, monkeypatch):
+    folder = tmp_path_factory.mktemp("cache")
+    monkeypatch.setattr(cache, "cache_folder", lambda: folder)
+
+
+def test_no_link_of_an_unfinished_run_is_followed(out, tmp_path):
+    (tmp_path / "mine.txt").write_text("mine")
+    (out / UNFINISHED).mkdir()
+    (out / UNFINISHED / "views.part").symlink_to(tmp_path / "mine.txt")
+    with pytest.raises(InputError, match="is a link"), replacing(out, identity="one"):
+        raise AssertionError("the run begins")
+    assert (tmp_path / "mine.txt").read_text() == "mine"
+
+
 @pytest.mark.parametrize("linked", ["masks", "masks/left", UNFINISHED])
 def test_nothing_outside_of_the_folder_is_removed_or_written(out, tmp_path, linked):
     elsewhere = tmp_path / "holiday"
@@ -141,15 +156,48 @@ def test_nothing_outside_of_the_folder_is_removed_or_written(out, tmp_path, link
     assert contents(elsewhere) == before
 
 
-@pytest.mark.parametrize("entry", ["moved", "removed"])
-def test_a_journal_from_elsewhere_does_not_reach_outside_of_the_folder(tmp_path, entry):
-    write(tmp_path / "out" / UNFINISHED / "new", "theirs", ("../../mine.txt",))
+@pytest.mark.parametrize("sealed", [b"", b"[]", b'{"moved": [], "removed": ["mine.txt"]}'])
+@pytest.mark.parametrize("seal", [b"", b"0123456789abcdef" * 2 + b"\n"])
+def test_a_journal_of_somebody_else_is_ignored(tmp_path, seal, sealed):
+    write(tmp_path / UNFINISHED / "new", "theirs", ("labels.npy",))
     (tmp_path / "mine.txt").write_text("mine")
-    journal = {"moved": [], "removed": []} | {entry: ["../mine.txt"]}
-    (tmp_path / "out" / UNFINISHED / "journal.json").write_text(json.dumps(journal))
-    with pytest.raises(InputError, match="is not inside"), replacing(tmp_path / "out"):
-        raise AssertionError("the run begins")
-    assert (tmp_path / "mine.txt").read_text() == "mine"
+    (tmp_path / "labels.npy").write_text("mine")
+    (tmp_path / UNFINISHED / "journal.json").write_bytes(seal + sealed)
+    with pytest.raises(ZeroDivisionError), replacing(tmp_path):
+        raise ZeroDivisionError
+    assert contents(tmp_path) == {"mine.txt": b"mine", "labels.npy": b"mine"}
+    assert not (tmp_path / UNFINISHED).exists()
+
+
+def test_a_journal_is_valid_in_its_folder_only(out, tmp_path, monkeypatch):
+    with monkeypatch.context() as patched:
+        patched.setattr(staging, "_end", lambda *_: None)
+        stop_at(0, Killed, patched)
+        with pytest.raises(Killed), replacing(out) as folder:
+            write(folder, "killed")
+    write(tmp_path / "copy", "mine", ("labels.npy",))
+    (out / UNFINISHED).rename(tmp_path / "copy" / UNFINISHED)
+    with pytest.raises(ZeroDivisionError), replacing(tmp_path / "copy"):
+        raise ZeroDivisionError
+    assert (tmp_path / "copy" / "labels.npy").read_text() == "mine"
+
+
+def test_views_of_somebody_else_are_not_used(tmp_path):
+    write(tmp_path / UNFINISHED / "views", "theirs", ("map.npy",))
+    (tmp_path / UNFINISHED / "views.txt").write_text("identity")
+    with replacing(tmp_path, identity="identity") as new:
+        assert not views_of(new).exists()
+
+
+def test_another_command_keeps_the_views_of_an_interrupted_run(tmp_path):
+    with contextlib.suppress(KeyboardInterrupt), replacing(tmp_path, identity="one") as new:
+        write(views_of(new), "judged", ("map.npy",))
+        raise KeyboardInterrupt
+    with replacing(tmp_path, report="render.json"):
+        pass
+    with replacing(tmp_path, identity="one") as new:
+        assert (views_of(new) / "map.npy").exists()
+    assert not (tmp_path / UNFINISHED).exists()
 
 
 @pytest.mark.parametrize(

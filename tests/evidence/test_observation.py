@@ -1,6 +1,7 @@
 """Observation of all views: input is checked before anything is rendered, and work is kept."""
 
 import dataclasses
+import pickle
 
 import numpy as np
 import pytest
@@ -46,6 +47,7 @@ class Network:
 
     def __init__(self, fails_at=None):
         self.judged, self.fails_at = [], fails_at
+        self.diagnostics: dict = {}
 
     def select(self, cameras):
         return list(cameras)
@@ -111,6 +113,24 @@ def test_a_file_that_was_only_begun_does_not_count(tmp_path):
     file.write_bytes(file.read_bytes()[:-8])
     assert not store.has(MAP, "a")
     assert not store.has(MAP, "b")
+
+
+def test_views_that_were_judged_keep_their_diagnostics(tmp_path):
+    detector, again = Network(), Network()
+    detector.diagnostics["a"] = {"clipped": np.int64(3)}
+    observe(CLOUD, VIEWS, detector, store=ArrayStore(tmp_path))
+    observed = observe(CLOUD, VIEWS, again, store=ArrayStore(tmp_path))
+    assert (again.diagnostics, again.judged) == ({"a": {"clipped": 3}}, [])
+    assert pickle.loads(pickle.dumps(observed.masks)).keys() == observed.masks.keys()
+
+
+def test_memory_that_was_released_is_used_again():
+    store = ArrayStore(max_bytes=100)
+    store.put(EVIDENCE, "large", np.zeros(80, np.uint8))
+    store.put(EVIDENCE, "too large", np.zeros(101, np.uint8))
+    store.release(EVIDENCE)
+    store.put(MAP, "small", np.zeros(100, np.uint8))
+    assert not isinstance(store.get(MAP, "small"), np.memmap)
 
 
 def test_a_full_disk_is_one_clear_error(tmp_path, monkeypatch):

@@ -94,4 +94,4 @@ def test_a_line_of_points_may_be_empty_and_a_name_may_hold_spaces(tmp_path):
 def test_models_beyond_the_memory_are_refused(tmp_path):
     folder = write_colmap(tmp_path / "m", [random_camera()])
     with pytest.raises(InputError, match="of memory"):
-        load_cameras(folder, max_bytes=500)
+        load_cameras(folder, max_bytes=100)

@@ -18,7 +18,7 @@ import numpy as np
 
 from gsc_jax.io.allocation import check_allocation
 from gsc_jax.io.tables import BYTES_PER_CHARACTER
-from gsc_jax.io.validation import brief
+from gsc_jax.io.validation import brief, shown
 from gsc_jax.scene import Gaussians, InputError
 
 if TYPE_CHECKING:
@@ -103,8 +103,8 @@ def is_compressed_ply(ply: "PlyData", path: Path) -> bool:
     )
     if not known:
         raise InputError(
-            f"{path}: compressed PLY of an unknown layout ({', '.join(names)}), expected chunks of "
-            f"{CHUNK_ROWS} Gaussians as PlayCanvas writes them; {_conversion(path)}"
+            f"{path}: compressed PLY of an unknown layout ({shown(', '.join(names))}), expected "
+            f"chunks of {CHUNK_ROWS} Gaussians as PlayCanvas writes them; {_conversion(path)}"
         )
     return True
 

@@ -141,3 +141,15 @@ def test_what_a_sog_expands_to_is_checked(tmp_path, meta, size, match):
         archive.writestr("meta.json", meta)
         archive.write(tmp_path / "means.webp", "means.webp")
     read_and_measure(tmp_path / "bomb.sog", match)
+
+
+def test_the_name_of_an_unknown_element_is_shortened(tmp_path):
+    path = tmp_path / "s.ply"
+    header = f"ply\nformat binary_little_endian 1.0\nelement {'9' * 5000} 0\nproperty float x\n"
+    chunk = (
+        "element chunk 1\nproperty float min_x\nelement vertex 1\nproperty uint packed_position\n"
+    )
+    path.write_bytes(f"{header}{chunk}end_header\n".encode() + bytes(8))
+    with pytest.raises(InputError) as refused:
+        load_ply(path)
+    assert len(str(refused.value)) < 1000

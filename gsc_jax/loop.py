@@ -22,7 +22,8 @@ from gsc_jax.scene.pytree import STATIC
 from gsc_jax.splat import composite
 
 MAX_WEIGHT = 1e6
-"""Largest weight and learning rate: Adam squares products of them and the evidence in float32."""
+"""Largest weight and learning rate. Adam squares gradients, which are at most the weights times the
+number of pixels; up to here the squares stay finite in float32."""
 
 
 @jax.tree_util.register_dataclass

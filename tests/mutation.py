@@ -52,7 +52,7 @@ class Options:
 
 @dataclasses.dataclass(frozen=True)
 class Mutant:
-    """The change of an operator at its `occurrence` in the file `path`."""
+    """One change: what `operator` does to the occurrence of that number in the file `path`."""
 
     path: str
     operator: str

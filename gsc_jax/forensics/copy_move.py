@@ -86,11 +86,16 @@ def _arranged(
     near = nearest_neighbours(means[rows], np.arange(len(rows)), NEIGHBOURS)
     moved = np.linalg.norm(means[duplicates] - means[rows], axis=1)
     has = (duplicates >= 0) & (moved > MIN_MOVE * reach[rows])
-    gaps = np.linalg.norm(means[duplicates[near]] - means[duplicates][:, None], axis=2)
     # A copy may be larger or smaller than the original.
-    scale = np.maximum(reach[rows], reach[duplicates])
-    together = has[near] & (gaps <= widening * MAX_SPREAD * scale[:, None])
-    return near, has & (together.mean(axis=1) >= MIN_MOVED_SHARE)
+    spread = widening * MAX_SPREAD * np.maximum(reach[rows], reach[duplicates])
+
+    def together(some: np.ndarray) -> np.ndarray:
+        """Share of the neighbours whose duplicates lie close to the own one."""
+        own, others = means[duplicates[some]], means[duplicates[near[some]]]
+        close = np.linalg.norm(others - own[:, None], axis=2) <= spread[some, None]
+        return (has[near[some]] & close).mean(axis=1)
+
+    return near, has & (in_blocks(together, np.arange(len(rows))) >= MIN_MOVED_SHARE)
 
 
 def _close_to(means: np.ndarray, seeds: np.ndarray, radius: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ and MAD of the scene, so that the classifier generalises to other scenes.
 """
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -109,15 +109,21 @@ def _with_surroundings(own: np.ndarray, around: Neighbourhoods) -> ArrayStore:
     """Numbers (N, D) with their `SURROUNDINGS`, some columns at a time."""
     store = ArrayStore(max_bytes=MAX_BYTES_IN_MEMORY)
     for start in range(0, own.shape[1], COLUMNS_PER_PASS):
-        values = own[:, start : start + COLUMNS_PER_PASS]
-        first = around.mean @ values
-        second = around.mean @ first
-        fourth = around.mean @ (around.mean @ second)
-        spread = around.spread(values, first)
-        statistics = values, first, spread, second, fourth
+        statistics = _statistics(own[:, start : start + COLUMNS_PER_PASS], around)
         for label, statistic in zip(SURROUNDINGS, statistics, strict=True):
             store.put(label, str(start), statistic)
     return store
+
+
+def _statistics(values: np.ndarray, around: Neighbourhoods) -> Iterator[np.ndarray]:
+    """Values (N, D) and their statistics, in the order of `SURROUNDINGS`, one in memory at once."""
+    yield values
+    first = around.mean @ values
+    yield first
+    yield around.spread(values, first)
+    second = around.mean @ first
+    yield second
+    yield around.mean @ (around.mean @ second)
 
 
 def _groups(gaussians: Gaussians, around: Neighbourhoods) -> dict[str, np.ndarray]:

@@ -1,4 +1,4 @@
-"""The bound on the memory of readers: a file declares what it needs before it is allocated."""
+"""The bound on the memory of readers: each checks what a file needs before it allocates it."""
 
 import os
 from pathlib import Path

@@ -1,7 +1,7 @@
 """JSON and TOML files as trees of dictionaries, lists, texts and numbers.
 
-Trees are shallow and their integers have at most 64 bits, so that any of them can be printed,
-validated and converted to floats.
+Trees of more than 100 levels and integers of more than 64 bits are refused, so that every tree that
+is returned can be printed, validated and converted to floats.
 """
 
 import json

@@ -5,20 +5,27 @@ from typing import Any
 
 import numpy as np
 
-from gsc_jax.scene.parallel import BLOCK, WORKERS
+from gsc_jax.scene.parallel import BLOCK, WORKERS, in_blocks
 
 
 def nearest_neighbours(points: np.ndarray, rows: np.ndarray, count: int) -> np.ndarray:
     """Find the nearest `count` < N other points of the rows (M,) of finite points (N, 3).
 
-    Returns indices into `points`, nearest first, shape (M, count).
+    Returns indices into `points`, nearest first, shape (M, count) int32.
     """
-    indices = _query(points, points[rows], count + 1)[1]
-    # A point is its own nearest neighbour. More than `count` points at the same place can crowd it
-    # out of the list: the last one is dropped instead.
-    others = indices != rows[:, None]
-    others[others.all(axis=1), -1] = False
-    return indices[others].reshape(len(rows), count)
+    from scipy.spatial import KDTree
+
+    tree = KDTree(points, compact_nodes=False, balanced_tree=False)
+
+    def nearest(some: np.ndarray) -> np.ndarray:
+        indices = np.asarray(tree.query(points[some], k=count + 1, workers=WORKERS)[1])
+        # A point is its own nearest neighbour. More than `count` points at the same place can crowd
+        # it out of the list: the last one is dropped instead.
+        others = indices != some[:, None]
+        others[others.all(axis=1), -1] = False
+        return indices[others].reshape(len(some), count).astype(np.int32)
+
+    return in_blocks(nearest, rows)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -60,15 +67,6 @@ def neighbourhoods(points: np.ndarray, k: int) -> Neighbourhoods:
     weights = np.full(nearest.size, 1 / k, np.float32)
     mean = csr_array((weights, nearest.ravel(), ends), shape=(len(points), len(points)))
     return Neighbourhoods(nearest=nearest, distances=distances, mean=mean)
-
-
-def _query(points: np.ndarray, places: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Distances and indices of the `count` points nearest to each place."""
-    from scipy.spatial import KDTree
-
-    tree = KDTree(points, compact_nodes=False, balanced_tree=False)
-    distances, indices = tree.query(places, k=count, workers=WORKERS)
-    return distances, np.asarray(indices)
 
 
 def parts(points: np.ndarray, size: int) -> list[np.ndarray]:

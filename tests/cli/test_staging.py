@@ -1,4 +1,4 @@
-"""A folder of results is replaced as a whole, or left unchanged, whenever the run ends."""
+"""A folder of results is replaced as a whole, or left unchanged, however the run ends."""
 
 import contextlib
 import json

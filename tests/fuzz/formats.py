@@ -86,7 +86,7 @@ def _binary(ply: PlyData) -> bytes:
 
 
 def _damaged_header(rng: Random, data: bytes, end: bytes = b"end_header\n") -> bytes:
-    """Damage the words of a header, the bytes behind it, or both."""
+    """Damage the words of a header, the bytes after the header, or both."""
     header, found, body = data.partition(end)
     if rng.random() < 0.7:
         text = damaged_text(rng, (header + found).decode("latin-1"))

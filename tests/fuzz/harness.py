@@ -149,7 +149,7 @@ def _run_child(
 
 
 def _save(kind: Format, seed: int, index: int, reason: str, findings: Path) -> str:
-    """Write an input and what it did into a folder of its own."""
+    """Write an input, and what was found when it was read, into a folder of its own."""
     folder = findings / f"{kind.name}-{seed}-{index}"
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)

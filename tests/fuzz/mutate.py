@@ -1,4 +1,4 @@
-"""Damaged copies of valid content: of bytes, of text, and of trees. All are functions of `rng`."""
+"""Damaged copies of valid bytes, texts and trees. All choices are drawn from the generator `rng`."""
 
 import copy
 import json

@@ -1,4 +1,4 @@
-"""Damaged copies of valid bytes, texts and trees. All choices are drawn from the generator `rng`."""
+"""Damaged copies of valid bytes, texts and trees; the generator `rng` draws all choices."""
 
 import copy
 import json

@@ -9,6 +9,7 @@ of `composite`, with respect to the features only: the method moves no Gaussian.
 `tests/test_splat.py` compares both with a float64 reference.
 """
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -16,6 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
+from jax.custom_derivatives import CustomVJPPrimal, SymbolicZero
 
 from gsc_jax.render.projection import MIN_ALPHA, NEAR
 from gsc_jax.render.spherical_harmonics import colors
@@ -64,8 +66,8 @@ _blend = jax.vmap(jax.vmap(blend_pixel, (0, 1), (1, 0)))
 def _walk(view: View, group: tuple[Array, ...], visit: Callable, carry: Any) -> Any:
     """Walk the lists of a group of tiles until all of them end or every pixel has stopped.
 
-    Each chunk updates the carry by `visit(carry, ids, weights)` with ids (tiles, C) and weights
-    (tiles, C, pixels).
+    Each chunk updates the carry by `visit(carry, ids, weights, alphas)` with ids (tiles, C), and
+    weights and alphas (tiles, C, pixels).
     """
     tiles, starts, counts = group
     pixels = _pixel_centers(tiles, view.grid[1])
@@ -76,11 +78,12 @@ def _walk(view: View, group: tuple[Array, ...], visit: Callable, carry: Any) -> 
         place = step * CHUNK + jnp.arange(CHUNK)
         listed = view.ids[starts[:, None] + place[None]]
         ids = jnp.where(place[None] < counts[:, None], listed, transparent)
-        weights, transmittance = _blend(transmittance, _alphas(view.splats[ids], pixels))
+        alphas = _alphas(view.splats[ids], pixels)
+        weights, transmittance = _blend(transmittance, alphas)
         # Without the barrier, XLA moves a transposition of the weights into the contraction that
         # follows in `accumulate`, which then is slow on a CPU.
         weights = jax.lax.optimization_barrier(weights)
-        return step + 1, transmittance, visit(carry, ids, weights)
+        return step + 1, transmittance, visit(carry, ids, weights, alphas)
 
     def unfinished(state):
         step, transmittance, _ = state
@@ -119,7 +122,7 @@ def composite(view: View, features: jax.Array) -> jax.Array:
     _require_rows(view, features)
     padded = jnp.pad(features, ((0, 1), (0, 0)))
 
-    def visit(image, ids, weights):
+    def visit(image, ids, weights, _):
         # XLA fuses this product and sum; an einsum would become a batch of tiny matrix products.
         return image + jnp.sum(weights[:, :, None, :] * padded[ids][..., None], axis=1)
 
@@ -141,7 +144,7 @@ def accumulate(view: View, maps: jax.Array) -> jax.Array:
     def gather(sums, group):
         values = tiled[group[0]]
 
-        def visit(sums, ids, weights):
+        def visit(sums, ids, weights, _):
             weighted = jnp.einsum("tcp,tdp->tcd", weights, values, precision="highest")
             return sums.at[ids].add(weighted)
 
@@ -151,10 +154,97 @@ def accumulate(view: View, maps: jax.Array) -> jax.Array:
     return jax.lax.scan(gather, sums, _groups(view))[0][:-1]
 
 
-composite.defvjp(
-    lambda view, features: (composite(view, features), view),
-    lambda view, cotangent: (None, accumulate(view, cotangent)),
-)
+@jax.jit
+def derivatives(
+    view: View, features: jax.Array, image: jax.Array, cotangent: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Differentiate `composite` by the splats and by the features, in one walk front to back.
+
+    With g the cotangent of a pixel and rest_i = g . (what is blended behind splat i),
+
+        alpha_i dL/dalpha_i = w_i (g . c_i) - rest_i alpha_i / (1 - alpha_i),
+
+    which is 0 where alpha is clamped or dropped. The rest is a running difference, since the image
+    is known, so nothing is stored for a pixel and a splat.
+
+    Args:
+        view: The view that was composited.
+        features: Its features, shape (N, D).
+        image: Their image W c, shape (H, W, D).
+        cotangent: Derivative of a loss by the image, shape (H, W, D).
+
+    Returns:
+        Derivatives of the loss by `view.splats`, (N + 1, 6), and by the features, (N, D).
+    """
+    splats = jnp.asarray(view.splats)
+    tiled, along = _split_tiles(view, cotangent), jnp.sum(cotangent * image, axis=2, keepdims=True)
+    rests, padded = _split_tiles(view, along)[:, 0], jnp.pad(features, ((0, 1), (0, 0)))
+    y, x = np.divmod(np.arange(TILE * TILE, dtype=np.float32), TILE)
+    monomials = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y])
+
+    def gather(sums, group):
+        g, origin = tiled[group[0]], _pixel_centers(group[0], view.grid[1])[:, 0]
+
+        def visit(carry, ids, weights, alphas):
+            sums, rest = carry
+            values = weights * jnp.sum(padded[ids][..., None] * g[:, None], axis=2)
+            behind = rest[:, None] - jnp.cumsum(values, axis=1)
+            slopes = values - behind * alphas / (1.0 - alphas)
+            slopes = jnp.where((weights > 0) & (alphas < MAX_ALPHA), slopes, 0.0)
+            moments = jnp.einsum("tcp,mp->tcm", slopes, monomials, precision="highest")
+            moments = _about(moments, splats[ids, :2] - origin[:, None])
+            weighted = jnp.einsum("tcp,tdp->tcd", weights, g, precision="highest")
+            sums = sums.at[ids].add(jnp.concatenate([moments, weighted], axis=2))
+            return sums, behind[:, -1]
+
+        return _walk(view, group, visit, (sums, rests[group[0]]))[0], None
+
+    sums = jnp.zeros((view.splats.shape[0], 6 + features.shape[1]))
+    sums = jax.lax.scan(gather, sums, _groups(view))[0]
+    return _by_splat(splats, sums[:, :6]), sums[:-1, 6:]
+
+
+def _about(moments: jax.Array, center: jax.Array) -> jax.Array:
+    """Moments 1, x, y, xx, xy, yy (..., 6) about a centre (..., 2) instead of the origin."""
+    m, x, y, xx, xy, yy = jnp.moveaxis(moments, -1, 0)
+    u, v = jnp.moveaxis(center, -1, 0)
+    first, second = x - u * m, y - v * m
+    squares = xx - u * (x + first), xy - u * y - v * first, yy - v * (y + second)
+    return jnp.stack([m, first, second, *squares], axis=-1)
+
+
+def _by_splat(splats: jax.Array, moments: jax.Array) -> jax.Array:
+    """Derivatives by the rows of the table, from the moments of alpha dL/dalpha, (N + 1, 6).
+
+    sigma = (a dx + b dy)^2 + (c dy)^2, and log alpha = log o - sigma.
+    """
+    _, _, a, b, c, _ = splats.T
+    m, x, y, xx, xy, yy = moments.T
+    first, second = a * x + b * y, c * y
+    by_a, by_b = a * xx + b * xy, a * xy + b * yy
+    rows = a * first, b * first + c * second, -by_a, -by_b, -c * yy, 0.5 * m
+    return 2 * jnp.stack(rows, axis=1)
+
+
+def _forward(view: Any, features: CustomVJPPrimal) -> tuple[jax.Array, tuple]:
+    """Keep what the backward pass needs: `accumulate` suffices where only features change."""
+    known = jax.tree.map(lambda leaf: leaf.value, (view, features))
+    image = composite(*known)
+    return image, (*known, image if view.splats.perturbed else None)
+
+
+def _backward(saved: tuple, cotangent: jax.Array) -> tuple[View | None, jax.Array]:
+    view, features, image = saved
+    if isinstance(cotangent, SymbolicZero):
+        cotangent = jnp.zeros(cotangent.shape, cotangent.dtype)
+    if image is None:
+        return None, accumulate(view, cotangent)
+    by_splats, by_features = derivatives(view, features, image, cotangent)
+    nothing = dict.fromkeys(("ids", "tiles", "starts", "counts"))
+    return dataclasses.replace(view, splats=by_splats, **nothing), by_features
+
+
+composite.defvjp(_forward, _backward, symbolic_zeros=True)
 
 
 def _split_tiles(view: View, image: jax.Array) -> jax.Array:

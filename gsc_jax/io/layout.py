@@ -60,12 +60,21 @@ def encode(gaussians: Gaussians) -> "PlyData":
     from plyfile import PlyData, PlyElement
 
     host = jax.tree.map(np.asarray, gaussians)
-    rest = host.sh[:, 1:].transpose(0, 2, 1).reshape(len(host), 3 * host.sh.shape[1] - 3)
-    names = [*POSITION, *NORMAL, *DC, *(f"f_rest_{i}" for i in range(rest.shape[1]))]
+    degrees = 3 * host.sh.shape[1] - 3
+    names = [*POSITION, *NORMAL, *DC, *(f"f_rest_{i}" for i in range(degrees))]
     names += ["opacity", *SCALE, *ROTATION]
-    columns = [host.means, np.zeros_like(host.means), host.sh[:, 0], rest]
-    columns += [host.logit_opacities[:, None], host.log_scales, host.quats]
-    table = np.concatenate(columns, axis=1, dtype="<f4")
+    table = np.zeros((len(host), len(names)), "<f4")  # filled in place: a scene may fill the memory
+    parts = {
+        "x": host.means,
+        "f_dc_0": host.sh[:, 0],
+        "opacity": host.logit_opacities[:, None],
+        "scale_0": host.log_scales,
+        "rot_0": host.quats,
+    }
+    for first, values in parts.items():
+        table[:, names.index(first) :][:, : values.shape[1]] = values
+    rest = table[:, names.index("opacity") - degrees : names.index("opacity")]
+    rest.reshape(len(host), 3, -1, copy=False)[:] = host.sh[:, 1:].transpose(0, 2, 1)
     data = table.view([(name, "<f4") for name in names]).reshape(len(table))
     return PlyData([PlyElement.describe(data, "vertex")], byte_order="<")
 

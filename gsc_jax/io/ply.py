@@ -10,9 +10,11 @@ import copy
 import dataclasses
 import io
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import jax
 import numpy as np
 
 from gsc_jax.io import compressed
@@ -23,6 +25,7 @@ from gsc_jax.io.validation import brief
 from gsc_jax.render.spherical_harmonics import Y0
 from gsc_jax.scene import Array, Gaussians, InputError, invalid_rows
 from gsc_jax.scene.gaussians import usable_rows
+from gsc_jax.scene.parallel import blocks
 
 if TYPE_CHECKING:
     from plyfile import PlyData, PlyElement
@@ -142,8 +145,16 @@ def save_ply(path: str | Path, gaussians: Gaussians, *, tamper: Array | None = N
             f"{path}: not written: expected Gaussians that can be rendered, of degree 0 to 3, "
             f"found {len(gaussians)} with colours of shape {np.shape(gaussians.sh)}"
         )
-    ply = encode(gaussians)
-    _write(path, ply if tamper is None else _with_tamper(ply, np.asarray(tamper)))
+    from plyfile import PlyData
+
+    host = jax.tree.map(np.asarray, gaussians)
+    scores = None if tamper is None else np.asarray(tamper).reshape(len(host))
+
+    def vertices(rows: slice) -> "PlyElement":
+        vertex = encode(host.take(rows))["vertex"]
+        return vertex if scores is None else _with_tamper(vertex, scores[rows])
+
+    _write(path, PlyData([vertices(slice(0, 1))], byte_order="<"), vertices, len(host))
 
 
 def save_tampered(path: str | Path, scene: PlyScene, tamper: Array) -> None:
@@ -153,7 +164,14 @@ def save_tampered(path: str | Path, scene: PlyScene, tamper: Array) -> None:
     `tamper` is replaced. The output is binary little endian and may replace the file that was read.
     Scores have shape (N,); excluded rows get 0.
     """
-    _write(path, _with_tamper(scene.ply, scene.expand(np.asarray(tamper))))
+    scores, vertex = scene.expand(np.asarray(tamper)), copy.copy(scene.ply["vertex"])
+    data = vertex.data
+
+    def vertices(rows: slice) -> "PlyElement":
+        vertex.data = data[rows]
+        return _with_tamper(vertex, scores[rows])
+
+    _write(path, scene.ply, vertices, scene.total)
 
 
 def save_highlight(path: str | Path, gaussians: Gaussians, labels: Array) -> None:
@@ -237,32 +255,40 @@ def _scene(ply: "PlyData", path: Path) -> PlyScene:
     return scene
 
 
-def _with_tamper(ply: "PlyData", scores: np.ndarray) -> "PlyData":
-    """Copy of a PLY with one score per vertex as the last property `tamper`."""
+def _with_tamper(vertex: "PlyElement", scores: np.ndarray) -> "PlyElement":
+    """Copy of vertices with their scores as the last property `tamper`."""
     from plyfile import PlyProperty
 
-    vertex = copy.copy(ply["vertex"])  # keeps comments and the types of list properties
+    scored = copy.copy(vertex)  # keeps comments and the types of list properties
     kept = [prop for prop in vertex.properties if prop.name != "tamper"]
     dtype = [(prop.name, vertex.data.dtype[prop.name]) for prop in kept]
     data = np.empty(len(vertex), [*dtype, ("tamper", "<f4")])
     for prop in kept:
         data[prop.name] = vertex.data[prop.name]
-    data["tamper"] = scores.reshape(len(data))
-    vertex.data, vertex.properties = data, (*kept, PlyProperty("tamper", "f4"))
-    result = copy.copy(ply)
-    result.elements = [vertex if element.name == "vertex" else element for element in ply.elements]
-    # Not the byte order of the input: plyfile 1.1 ignores it for scalars next to a list.
-    result.text, result.byte_order = False, "<"
-    return result
+    data["tamper"] = scores
+    scored.data, scored.properties = data, (*kept, PlyProperty("tamper", "f4"))
+    return scored
 
 
-def _write(path: str | Path, ply: "PlyData") -> None:
-    """Write a binary PLY; plyfile itself cannot write rows with a colon in a property name."""
+def _write(
+    path: str | Path, ply: "PlyData", vertices: Callable[[slice], "PlyElement"], count: int
+) -> None:
+    """Write a PLY whose `count` vertices are computed in blocks, which bounds the memory.
+
+    It is binary little endian, and not in the byte order of the input: plyfile 1.1 ignores that for
+    scalars next to a list. plyfile itself cannot write rows with a colon in a property name.
+    """
+    first, whole = vertices(slice(0, 1)), copy.copy(ply)
+    whole.elements = [first if element.name == "vertex" else element for element in ply.elements]
+    whole.text, whole.byte_order = False, "<"
+    header = whole.header.replace("\nelement vertex 1\n", f"\nelement vertex {count}\n")
     with atomic(path) as temporary, temporary.open("wb") as file:
-        file.write(f"{ply.header}\n".encode("ascii"))
+        file.write(f"{header}\n".encode("ascii"))
         for element in ply.elements:
-            data = element.data.astype(element.dtype(ply.byte_order), copy=False)
-            file.write(_with_lists(element) if data.dtype.hasobject else data.view(np.uint8))
+            parts = map(vertices, blocks(count)) if element.name == "vertex" else [element]
+            for part in parts:
+                data = part.data.astype(part.dtype("<"), copy=False)
+                file.write(_with_lists(part) if data.dtype.hasobject else data.view(np.uint8))
 
 
 def _with_lists(element: "PlyElement") -> memoryview:

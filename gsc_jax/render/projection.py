@@ -13,6 +13,7 @@ import functools
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from gsc_jax.scene import Array, Camera, Gaussians, pytree
 from gsc_jax.scene.gaussians import IDENTITY_QUATERNION, check_shapes
@@ -58,17 +59,37 @@ def project(gaussians: Gaussians, camera: Camera, *, near: float = NEAR) -> Spla
     check_shapes(gaussians)
     if not near > 0:
         raise ValueError(f"near must be positive, got {near}")
-    columns = gaussians.means, gaussians.log_scales, gaussians.quats, gaussians.logit_opacities
+    parameters = gaussians.means, gaussians.log_scales, gaussians.quats, gaussians.logit_opacities
     # The name is static: without it, every camera would compile the projection again.
-    return _project(columns, dataclasses.replace(camera, name=""), near)
+    return _project(parameters, dataclasses.replace(camera, name=""), near)
 
 
 @jax.jit
-def _project(columns: tuple[Array, ...], camera: Camera, near: float) -> Splats:
+def _project(parameters: tuple[Array, ...], camera: Camera, near: float) -> Splats:
     def one(mean, log_scale, quat, logit):
         return _project_one(mean, log_scale, quat, logit, camera, near)
 
-    return jax.vmap(one)(*columns)
+    means, log_scales, quats, logits = parameters
+    return jax.vmap(one)(_columns(means), _columns(log_scales), _columns(quats), logits)
+
+
+@jax.custom_vjp
+def _columns(rows: Array) -> list[jax.Array]:
+    """Columns of a matrix (N, D), with a derivative that is fast on a CPU.
+
+    JAX would transpose an index under vmap to a scatter, and `unstack` to a concatenation, into
+    which XLA fuses all that comes before it, once for each column: 30 times the time.
+    """
+    return list(jnp.unstack(rows, axis=1))
+
+
+def _joined(_: None, columns: list[jax.Array]) -> tuple[jax.Array]:
+    units = np.eye(len(columns), dtype=np.float32)
+    parts = (column[:, None] * unit[None] for column, unit in zip(columns, units, strict=True))
+    return (functools.reduce(jnp.add, parts),)
+
+
+_columns.defvjp(lambda rows: (_columns(rows), None), _joined)
 
 
 def _project_one(mean, log_scale, quat, logit, camera: Camera, near) -> Splats:

@@ -53,8 +53,9 @@ def colors(sh: jax.Array, means: jax.Array, center: jax.Array) -> jax.Array:
     """
     degree = round(sh.shape[1] ** 0.5) - 1
     towards = means - center[None]
-    distance = jnp.linalg.norm(towards, axis=-1, keepdims=True)
-    directions = towards / jnp.where(distance > 0, distance, 1.0)
+    square = jnp.sum(towards * towards, axis=-1, keepdims=True)
+    # The derivative of a square root is infinite at 0, hence the condition inside of it.
+    directions = towards / jnp.sqrt(jnp.where(square > 0, square, 1.0))
     values = jnp.einsum("nk,nkc->nc", basis(directions, degree), sh, precision="highest")
     rgb = jnp.maximum(0.5 + values, 0.0)
     return jnp.where(jnp.isfinite(rgb), rgb, 0.0)

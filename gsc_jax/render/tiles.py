@@ -15,6 +15,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from gsc_jax.render.projection import NEAR, Splats, project
 from gsc_jax.scene import Array, Camera, Gaussians, InputError
@@ -89,7 +90,7 @@ def bin_view(splats: Splats, camera: Camera, *, lockstep: int | None = None) -> 
     if lockstep is not None and not (isinstance(lockstep, int | np.integer) and lockstep >= 1):
         raise ValueError(f"lockstep must be a whole number above 0, got {lockstep}")
     table = _table(splats)  # asynchronous: JAX computes it while NumPy bins
-    lists = bin_splats(splats, camera.width, camera.height)
+    lists = bin_splats(_concrete(splats), camera.width, camera.height)
     tiles = len(lists.counts)
     if lockstep is None:
         cpu = int(np.clip(tiles // MIN_GROUPS, MIN_LOCKSTEP, CPU_LOCKSTEP))
@@ -103,6 +104,26 @@ def bin_view(splats: Splats, camera: Camera, *, lockstep: int | None = None) -> 
         lockstep=lockstep,
         **_longest_first(lists.starts, lists.counts, lockstep),
     )
+
+
+def reprojected(view: View, gaussians: Gaussians, camera: Camera, *, near: float = NEAR) -> View:
+    """The view with new parameters of its Gaussians in unchanged lists, also under `jax.jit`.
+
+    The lists stay right as long as the parameters change little, as in a step of an optimiser.
+    """
+    return dataclasses.replace(view, splats=_table(project(gaussians, camera, near=near)))
+
+
+def _concrete(splats: Splats) -> Splats:
+    """The splats without derivatives; raises TypeError if their values are not known."""
+    splats = jax.lax.stop_gradient(splats)
+    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(splats)):
+        raise TypeError(
+            "the lists of a view depend on the values of the Gaussians, which are not known under "
+            "jax.jit or jax.vmap; build the view outside with make_view, and use "
+            "reprojected(view, gaussians, camera) inside"
+        )
+    return splats
 
 
 def restricted(view: View, rows: np.ndarray) -> View:

@@ -38,10 +38,9 @@ class Camera:
                 raise ValueError(f"expected whole numbers of pixels above 0, got {side}")
 
     @property
-    def center(self) -> np.ndarray:
+    def center(self) -> Array:
         """Position of the camera in the world, shape (3,) float32."""
-        viewmat = np.asarray(self.viewmat)
-        return -viewmat[:3, :3].T @ viewmat[:3, 3]
+        return -self.viewmat[:3, :3].T @ self.viewmat[:3, 3]
 
     def scaled(self, factor: float) -> "Camera":
         """The same camera with an image `factor` times as wide and high, at least one pixel."""

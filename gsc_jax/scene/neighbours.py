@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from gsc_jax.scene.parallel import BLOCK, WORKERS, in_blocks
+from gsc_jax.scene.parallel import WORKERS, blocks, in_blocks
 
 
 def nearest_neighbours(points: np.ndarray, rows: np.ndarray, count: int) -> np.ndarray:
@@ -58,8 +58,7 @@ def neighbourhoods(points: np.ndarray, k: int) -> Neighbourhoods:
         np.empty((len(points), k), np.int32),
         np.empty((len(points), k), np.float32),
     )
-    for start in range(0, len(points), BLOCK):  # SciPy's results take four times the memory
-        block = slice(start, start + BLOCK)
+    for block in blocks(len(points)):  # SciPy's results take four times the memory
         far, indices = tree.query(points[block], k=k + 1, workers=WORKERS)
         # The first is the point itself, or another one at the same place, at the same distance.
         distances[block], nearest[block] = far[:, 1:], np.asarray(indices)[:, 1:]

@@ -34,5 +34,9 @@ def bounded_map(
 
 def in_blocks(function: Callable[[np.ndarray], np.ndarray], rows: np.ndarray) -> np.ndarray:
     """Apply a function of each row on its own to blocks of rows, and concatenate the results."""
-    starts = range(0, max(len(rows), 1), BLOCK)
-    return np.concatenate([function(rows[start : start + BLOCK]) for start in starts])
+    return np.concatenate([function(rows[block]) for block in blocks(max(len(rows), 1))])
+
+
+def blocks(count: int) -> list[slice]:
+    """Slices of at most `BLOCK` that cover `count` rows."""
+    return [slice(start, start + BLOCK) for start in range(0, count, BLOCK)]

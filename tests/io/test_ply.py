@@ -17,7 +17,7 @@ from strategies import random_scene
 from gsc_jax.io.layout import NORMAL, ROTATION
 from gsc_jax.io.ply import load_ply, read_ply, save_highlight, save_ply, save_tampered
 from gsc_jax.render.spherical_harmonics import Y0
-from gsc_jax.scene import InputError
+from gsc_jax.scene import InputError, parallel
 
 SCENE = random_scene(7)
 SMALL = columns_of(random_scene(7, degree=0))
@@ -102,6 +102,17 @@ def test_other_elements_lists_and_comments_are_kept(tmp_path):
     assert after == before
     assert [row.tolist() for row in written["vertex"]["links"]] == [[1, 2], [], [7]]
     assert written["camera"].data.tolist() == [(5, 2.5)]
+
+
+def test_writing_in_blocks_changes_nothing(tmp_path, monkeypatch):
+    gaussians, scores = random_scene(20, degree=2), np.linspace(0, 1, 20)
+    for name in ("whole", "blocks"):
+        save_ply(tmp_path / f"{name}.ply", gaussians, tamper=scores)
+        save_tampered(tmp_path / f"{name}-again.ply", read_ply(tmp_path / "whole.ply"), 1 - scores)
+        monkeypatch.setattr(parallel, "BLOCK", 7)
+    for end in ("", "-again"):
+        whole, parts = (tmp_path / f"{name}{end}.ply" for name in ("whole", "blocks"))
+        assert whole.read_bytes() == parts.read_bytes()
 
 
 def test_an_existing_tamper_is_replaced_and_moved_last(tmp_path):

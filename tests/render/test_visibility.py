@@ -58,7 +58,7 @@ def test_the_near_plane_that_is_advised_for_a_small_scene_fits():
 
 def test_blind_cameras_a_low_share_and_a_far_near_plane_give_warnings():
     scene, cameras = ball(), orbit_cameras(ball(), 10)
-    middle = float(np.linalg.norm(cameras[0].center - [1, -2, 5]))
+    middle = float(np.linalg.norm(np.subtract(cameras[0].center, [1, -2, 5])))
     (warning,) = check_views(scene, cameras, near=middle + 0.5)
     assert "near plane" in warning
     K = cameras[0].K * np.array([[6, 1, 1], [1, 6, 1], [1, 1, 1]], np.float32)

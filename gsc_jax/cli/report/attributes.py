@@ -8,6 +8,7 @@ import numpy as np
 from gsc_jax.io.ply import LUMA
 from gsc_jax.render.spherical_harmonics import Y0
 from gsc_jax.scene import Gaussians
+from gsc_jax.scene.parallel import in_blocks
 
 MIN_LOG_SCALE = -30.0
 """Floor of log scales: flat Gaussians are stored with scales down to exp(-100)."""
@@ -56,8 +57,8 @@ def _attributes(gaussians: Gaussians) -> Iterator[tuple[str, str, np.ndarray]]:
     """Title, unit and values (N,) of each attribute."""
     log_scales = np.maximum(np.asarray(gaussians.log_scales, np.float64), MIN_LOG_SCALE)
     decades = log_scales / np.log(10)
-    sh = np.asarray(gaussians.sh, np.float64)
-    rgb = 0.5 + Y0 * sh[:, 0]
+    sh = np.asarray(gaussians.sh)
+    rgb = 0.5 + Y0 * sh[:, 0].astype(np.float64)
     cos_half_angle = np.abs(np.asarray(gaussians.rotations)[:, 0]).clip(0, 1)
     yield "Opacity", "from 0 to 1", np.asarray(gaussians.opacities)
     yield "Size", "log10 of the mean scale, scene units", decades.mean(axis=1)
@@ -66,5 +67,5 @@ def _attributes(gaussians: Gaussians) -> Iterator[tuple[str, str, np.ndarray]]:
     yield "Luminance", "of the base colour", rgb @ LUMA
     yield "Saturation", "of the base colour, max minus min", np.ptp(rgb, axis=1)
     if sh.shape[1] > 1:
-        rms = np.sqrt(np.mean(sh[:, 1:] ** 2, axis=(1, 2)))
+        rms = np.sqrt(in_blocks(lambda rest: np.asarray(np.mean(rest**2, axis=(1, 2))), sh[:, 1:]))
         yield "View dependence", "log10 RMS of the harmonics", np.log10(rms + 1e-6)

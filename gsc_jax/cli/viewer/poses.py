@@ -47,7 +47,7 @@ def pose(camera: Camera, means: Array, *, up: Array, near: float = NEAR) -> Pose
 
     rotation, K = np.asarray(camera.viewmat, np.float64)[:3, :3], np.asarray(camera.K, np.float64)
     right, down, forward = rotation
-    position = camera.center.astype(np.float64)
+    position = np.asarray(camera.center, np.float64)
     half_width, half_height = camera.width / (2 * K[0, 0]), camera.height / (2 * K[1, 1])
     x, y, z = rotation @ (np.asarray(means, np.float64) - position).T
     visible = (z > near) & (abs(x) < half_width * z) & (abs(y) < half_height * z)

@@ -61,16 +61,16 @@ def main() -> None:
             shrink(picture, PICTURES / picture.name)
 
 
-def blocks() -> list[tuple[str, str]]:
-    """Code blocks of the tutorial in order, each with its documented output."""
-    return BLOCK.findall((DOCS / "tutorial.md").read_text(encoding="utf-8"))
+def blocks(page: str) -> list[tuple[str, str]]:
+    """Code blocks of a page in order, each with its documented output."""
+    return BLOCK.findall((DOCS / page).read_text(encoding="utf-8"))
 
 
 def run_tutorial(folder: Path) -> None:
     """Run the blocks of the tutorial in a folder and in one namespace."""
     names: dict = {}
     with contextlib.chdir(folder), contextlib.redirect_stdout(None):
-        for code, _ in blocks():
+        for code, _ in blocks("tutorial.md"):
             exec(compile(code, "tutorial.md", "exec"), names)
 
 

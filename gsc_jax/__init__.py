@@ -23,10 +23,10 @@ if TYPE_CHECKING:
     from gsc_jax.locate import Result, locate
     from gsc_jax.loop import LoopConfig
     from gsc_jax.render.orbit import orbit_cameras
-    from gsc_jax.render.tiles import make_view
+    from gsc_jax.render.tiles import make_view, reprojected
     from gsc_jax.scene import Camera, Gaussians, InputError
     from gsc_jax.splat import accumulate_maps as accumulate
-    from gsc_jax.splat import render, render_features
+    from gsc_jax.splat import render, render_features, render_view
 
 __all__ = [
     "METHODS",
@@ -57,7 +57,9 @@ __all__ = [
     "read_ply",
     "render",
     "render_features",
+    "render_view",
     "rendered_share",
+    "reprojected",
     "save_cameras",
     "save_ply",
     "sweep",
@@ -79,9 +81,9 @@ _MODULES = {
     "locate": ("Result", "locate"),
     "loop": ("LoopConfig",),
     "render.orbit": ("orbit_cameras",),
-    "render.tiles": ("make_view",),
+    "render.tiles": ("make_view", "reprojected"),
     "scene": ("Camera", "Gaussians", "InputError"),
-    "splat": ("render", "render_features"),
+    "splat": ("render", "render_features", "render_view"),
 }
 
 

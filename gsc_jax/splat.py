@@ -4,9 +4,9 @@ W is the matrix of blending weights of a view. For a pixel p and the splats i th
 to back, W_pi = alpha_i prod_{j<i} (1 - alpha_j) (Kerbl et al. 2023, eq. 3; GS-Checker, eq. 9). It
 depends on the scene and the camera only and is never stored: a group of 8 x 8 pixel tiles walks its
 depth-sorted lists in lockstep, a chunk of splats at a time. The equations are written for one pixel
-and vmapped. JAX cannot reverse the early-ending loop, so `accumulate` is the custom backward pass
-of `composite`, with respect to the features only: the method moves no Gaussian.
-`tests/test_splat.py` compares both with a float64 reference.
+and vmapped. JAX cannot reverse the early-ending loop, so `composite` has a custom backward pass:
+`accumulate` where only the features change, and else `derivatives`, which walks the same lists.
+`tests/test_splat.py` and `tests/test_gradients.py` compare them with a float64 reference.
 """
 
 import dataclasses
@@ -116,8 +116,8 @@ def _require_rows(view: View, features: Array) -> None:
 def composite(view: View, features: jax.Array) -> jax.Array:
     """Blend features (N, D) front to back to an image (H, W, D): W c (GS-Checker, eq. 9).
 
-    The image is 0 on pixels that no Gaussian covers. Differentiable with respect to the features;
-    the gradient is `accumulate`.
+    The image is 0 on pixels that no Gaussian covers. Differentiable with respect to the features,
+    where the gradient is `accumulate`, and to `view.splats`.
     """
     _require_rows(view, features)
     padded = jnp.pad(features, ((0, 1), (0, 0)))
@@ -308,7 +308,7 @@ def render(
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),
     near: float = NEAR,
 ) -> tuple[jax.Array, jax.Array]:
-    """Render a scene.
+    """Render a scene; differentiable by the Gaussians and the camera, see docs/gradients.md.
 
     Args:
         gaussians: N Gaussians.
@@ -320,6 +320,7 @@ def render(
         RGB (H, W, 3) in [0, 1] and alpha (H, W) in [0, 1].
 
     Raises:
+        TypeError: under `jax.jit` or `jax.vmap`; see `render_view`.
         ValueError: if the background is no colour in [0, 1].
     """
     if np.shape(background) != (3,) or not all(0 <= channel <= 1 for channel in background):
@@ -335,7 +336,10 @@ def render_view(
     *,
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> tuple[jax.Array, jax.Array]:
-    """Render a scene as `render` does, given the view that `make_view` has built for it."""
+    """Render a scene as `render` does, given the view that `make_view` has built for it.
+
+    Under `jax.jit`, derivatives need `reprojected(view, gaussians, camera)` as the view.
+    """
     rgb, alpha = composite_with_alpha(view, colors(gaussians.sh, gaussians.means, camera.center))
     behind = (1.0 - alpha)[..., None] * jnp.asarray(background, jnp.float32)[None, None]
     return jnp.minimum(rgb + behind, 1.0), alpha

@@ -50,17 +50,18 @@ def user_settings(tmp_path, monkeypatch):
         yield tmp_path
 
 
-def test_the_tutorial_prints_its_documented_output(user_settings):
+@pytest.mark.parametrize(("page", "least"), [("tutorial.md", 15), ("gradients.md", 2)])
+def test_a_page_prints_its_documented_output(user_settings, page, least):
     names: dict = {}
-    blocks = script("pictures").blocks()
-    assert len(blocks) >= 15
+    blocks = script("pictures").blocks(page)
+    assert len(blocks) >= least
     for code, documented in blocks:
         with contextlib.redirect_stdout(io.StringIO()) as output:
-            exec(compile(code, "tutorial.md", "exec"), names)
+            exec(compile(code, page, "exec"), names)
         printed = output.getvalue()
         assert same(printed, documented), f"{code}\nprints\n\n{printed}\nnot\n\n{documented}"
     saved = {picture.name for picture in (user_settings / "pictures").iterdir()}
-    assert saved == set(pictures_of(DOCS / "tutorial.md"))
+    assert saved == set(pictures_of(DOCS / page))
 
 
 def test_printed_output_is_compared_by_words_and_numbers():

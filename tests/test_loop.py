@@ -76,6 +76,11 @@ def test_empty_groups_give_no_nan(r):
     assert jnp.isfinite(infos.loss_3d).all()
 
 
+def test_the_defaults_are_those_of_the_paper():
+    assert (PAPER.epochs, PAPER.shuffle, PAPER.threshold) == (5, True, 0.1)
+    assert (PAPER.loop.lambda1, PAPER.loop.lambda2) == (1, 10)
+
+
 def test_the_order_of_views_is_reproducible_and_complete():
     assert view_order(3, epochs=2).tolist() == [0, 1, 2, 0, 1, 2]
     shuffled = view_order(20, epochs=3, shuffle=True, seed=1)

@@ -37,6 +37,17 @@ def test_the_criterion_chooses_the_number_of_classes():
     assert np.asarray(fit.criterion).shape == np.asarray(fit.iterations).shape == (9,)
 
 
+def test_the_criterion_of_one_class_is_that_of_schwarz():
+    _, flagged, clear = drawn()
+    flagged[2] = clear[2] = 0  # a view that shows nothing has no parameter
+    pixels = (flagged + clear).sum(axis=1)
+    rates = (flagged.sum(axis=1) + 0.5) / (pixels + 1)
+    likelihood = flagged.sum(axis=1) @ np.log(rates) + clear.sum(axis=1) @ np.log1p(-rates)
+    expected = likelihood - 0.5 * (5 + 1) * np.log(1500)
+    criterion = fit_classes(flagged, clear, counts=(1,), restarts=1).criterion
+    np.testing.assert_allclose(criterion, [expected], rtol=0, atol=1.0)
+
+
 def test_rates_are_bounded_and_unseen_gaussians_follow_the_shares():
     flagged, clear = np.zeros((6, 1500), np.float32), np.zeros((6, 1500), np.float32)
     flagged[:, :10] = 1e6

@@ -26,6 +26,13 @@ def test_neighbours_change_uncertain_gaussians_only():
     assert certain[10, 1] > 0.9
 
 
+@pytest.mark.parametrize(("logit", "changes"), [(7.9, True), (8.1, False)])
+def test_gaussians_beyond_the_reach_of_their_neighbours_are_not_updated(logit, changes):
+    values = logits(logit)
+    smoothed = smooth(values, TAMPERED, LINE, ALL, strength=5, neighbours=4)
+    assert np.array_equal(smoothed[10], softmax(values[10])) != changes
+
+
 def test_strength_0_is_the_identity():
     unchanged = smooth(logits(1.0), TAMPERED, LINE, ALL, strength=0, neighbours=4)
     assert np.array_equal(unchanged, softmax(logits(1.0), axis=1))

@@ -60,8 +60,8 @@ def encode(gaussians: Gaussians) -> "PlyData":
     from plyfile import PlyData, PlyElement
 
     host = jax.tree.map(np.asarray, gaussians)
-    degrees = 3 * host.sh.shape[1] - 3
-    names = [*POSITION, *NORMAL, *DC, *(f"f_rest_{i}" for i in range(degrees))]
+    rests = 3 * host.sh.shape[1] - 3
+    names = [*POSITION, *NORMAL, *DC, *(f"f_rest_{i}" for i in range(rests))]
     names += ["opacity", *SCALE, *ROTATION]
     table = np.zeros((len(host), len(names)), "<f4")  # filled in place: a scene may fill the memory
     parts = {
@@ -73,7 +73,7 @@ def encode(gaussians: Gaussians) -> "PlyData":
     }
     for first, values in parts.items():
         table[:, names.index(first) :][:, : values.shape[1]] = values
-    rest = table[:, names.index("opacity") - degrees : names.index("opacity")]
+    rest = table[:, names.index("opacity") - rests : names.index("opacity")]
     rest.reshape(len(host), 3, -1, copy=False)[:] = host.sh[:, 1:].transpose(0, 2, 1)
     data = table.view([(name, "<f4") for name in names]).reshape(len(table))
     return PlyData([PlyElement.describe(data, "vertex")], byte_order="<")

@@ -140,21 +140,9 @@ def save_ply(path: str | Path, gaussians: Gaussians, *, tamper: Array | None = N
             that can be rendered, or the degree of the spherical harmonics is not 0 to 3.
         ValueError: If there are not N scores.
     """
-    if 3 * np.shape(gaussians.sh)[1] - 3 not in REST_COUNTS or not usable_rows(gaussians).any():
-        raise InputError(
-            f"{path}: not written: expected Gaussians that can be rendered, of degree 0 to 3, "
-            f"found {len(gaussians)} with colours of shape {np.shape(gaussians.sh)}"
-        )
-    from plyfile import PlyData
-
     host = jax.tree.map(np.asarray, gaussians)
     scores = None if tamper is None else np.asarray(tamper).reshape(len(host))
-
-    def vertices(rows: slice) -> "PlyElement":
-        vertex = encode(host.take(rows))["vertex"]
-        return vertex if scores is None else _with_tamper(vertex, scores[rows])
-
-    _write(path, PlyData([vertices(slice(0, 1))], byte_order="<"), vertices, len(host))
+    _save(path, host, lambda rows: host.take(rows), scores)
 
 
 def save_tampered(path: str | Path, scene: PlyScene, tamper: Array) -> None:
@@ -176,14 +164,41 @@ def save_tampered(path: str | Path, scene: PlyScene, tamper: Array) -> None:
 
 def save_highlight(path: str | Path, gaussians: Gaussians, labels: Array) -> None:
     """Write a copy whose tampered Gaussians (labels, shape (N,) bool) are red, the others grey."""
-    sh = np.asarray(gaussians.sh, np.float32)
-    luma = np.clip(0.5 + Y0 * sh[:, 0], 0, 1) @ LUMA
-    # Half of the luminance keeps the structure visible; no grey is as bright as white.
-    red = TAMPERED_COLOR * (0.5 + 0.5 * luma[:, None])
-    grey = np.repeat(0.2 + 0.5 * luma[:, None], 3, axis=1)
-    recolored = np.zeros_like(sh)
-    recolored[:, 0] = (np.where(np.asarray(labels, bool)[:, None], red, grey) - 0.5) / Y0
-    save_ply(path, dataclasses.replace(gaussians, sh=recolored))
+    host, labels = jax.tree.map(np.asarray, gaussians), np.asarray(labels, bool)
+
+    def highlighted(rows: slice) -> Gaussians:
+        part = host.take(rows)
+        luma = np.clip(0.5 + Y0 * part.sh[:, 0], 0, 1) @ LUMA
+        # Half of the luminance keeps the structure visible; no grey is as bright as white.
+        red = TAMPERED_COLOR * (0.5 + 0.5 * luma[:, None])
+        grey = np.repeat(0.2 + 0.5 * luma[:, None], 3, axis=1)
+        sh = np.zeros_like(part.sh)
+        sh[:, 0] = (np.where(labels[rows, None], red, grey) - 0.5) / Y0
+        return dataclasses.replace(part, sh=sh)
+
+    _save(path, host, highlighted)
+
+
+def _save(
+    path: str | Path,
+    gaussians: Gaussians,
+    part: Callable[[slice], Gaussians],
+    scores: np.ndarray | None = None,
+) -> None:
+    """Write the Gaussians that `part` gives for rows of a scene, if they could be read again."""
+    from plyfile import PlyData
+
+    if 3 * np.shape(gaussians.sh)[1] - 3 not in REST_COUNTS or not usable_rows(gaussians).any():
+        raise InputError(
+            f"{path}: not written: expected Gaussians that can be rendered, of degree 0 to 3, "
+            f"found {len(gaussians)} with colours of shape {np.shape(gaussians.sh)}"
+        )
+
+    def vertices(rows: slice) -> "PlyElement":
+        vertex = encode(part(rows))["vertex"]
+        return vertex if scores is None else _with_tamper(vertex, scores[rows])
+
+    _write(path, PlyData([vertices(slice(0, 1))], byte_order="<"), vertices, len(gaussians))
 
 
 def _parse(path: Path, max_bytes: int | None) -> "PlyData":

@@ -11,11 +11,17 @@ from gsc_jax import locate
 from gsc_jax.benchmark.metrics import auc, truth_mask
 from gsc_jax.benchmark.scenes import tampered_room
 from gsc_jax.forensics.calibration import LEVEL_BESIDE_TRACES, SURE_PROBABILITY, UNSURE_LEVEL
-from gsc_jax.forensics.evidence import combine, estimate_from_attributes, forensic_evidence
+from gsc_jax.forensics.evidence import (
+    TRACES,
+    combine,
+    estimate_from_attributes,
+    forensic_evidence,
+)
 from gsc_jax.forensics.traces import Trace
 
 MADE = tampered_room(count=6_000, views=2, heldout=1, width=64, height=48, seed=12)
 SAVED = exported(MADE.gaussians, seed=12)
+SOME = SAVED.take(np.arange(3_000))
 UNSURE = SURE_PROBABILITY - 0.1
 
 
@@ -23,6 +29,18 @@ def test_pasted_object_is_found_in_an_export_without_traces():
     evidence = forensic_evidence(SAVED)
     assert auc(evidence.log_odds, MADE.labels) > 0.9
     assert 0 <= evidence.verdict <= 1
+
+
+def test_traces_are_computed_unless_they_are_declined():
+    assert len(forensic_evidence(SOME).traces) == len(TRACES)
+    assert forensic_evidence(SOME, with_traces=False).traces == ()
+
+
+@pytest.mark.parametrize("option", ["threshold", "min_verdict"])
+@pytest.mark.parametrize("value", [-0.1, 1.1, np.nan])
+def test_thresholds_that_are_no_probabilities_are_errors(option, value):
+    with pytest.raises(ValueError, match=r"in \[0, 1\]"):
+        estimate_from_attributes(evidence_of([BASE] * 40, 0.3), **{option: value})
 
 
 def test_permuting_rows_permutes_log_odds():
@@ -39,7 +57,6 @@ def test_invalid_rows_are_unknown_and_change_no_others():
     assert auc(evidence.log_odds[20:], MADE.labels[20:]) > 0.9
 
 
-SOME = SAVED.take(np.arange(3_000))
 ODD = [
     *(SAVED.take(np.arange(count)) for count in (1, 5, 17, 40)),
     changed(SOME, slice(5), log_scales=-np.inf, logit_opacities=[np.inf, -np.inf, 0, 0, 0]),

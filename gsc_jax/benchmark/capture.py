@@ -1,0 +1,267 @@
+"""Captures: scenes trained from posed images, with the loss and the rates of 3DGS.
+
+The loss is 0.8 L1 + 0.2 (1 - SSIM) of a view (Kerbl et al. 2023, eq. 7), minimised by Adam; the
+harmonics start at degree 0. Arrays have a row for each Gaussian of the budget, and rows that are
+not in use are transparent, so that a step is compiled once.
+"""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import Any, Literal, NamedTuple, cast
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+
+from gsc_jax.benchmark.densification import (
+    adapt_density,
+    disturbance,
+    relocate,
+    reset_opacities,
+)
+from gsc_jax.render.spherical_harmonics import Y0
+from gsc_jax.render.tiles import View, make_view, reprojected
+from gsc_jax.scene import Array, Camera, Gaussians
+from gsc_jax.scene.neighbours import nearest_neighbours
+from gsc_jax.splat import render_view
+
+SSIM_SIGMA, SSIM_REACH = 1.5, 5
+"""Window of the SSIM in pixels: standard deviation, and reach to each side."""
+C1, C2 = 0.01**2, 0.03**2
+"""Constants of the SSIM for values in [0, 1]."""
+INTERVAL, FIRST, LAST = 100, 0.1, 0.6
+"""Steps between densifications, and shares of the steps between which there are any."""
+RESETS = (0.25, 0.45)
+"""Shares of the steps at which adaptive density control resets opacities."""
+REGULARISATION = 0.01
+"""Weight of the mean opacity and of the mean scale in the loss of MCMC."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class CaptureConfig:
+    """How a scene is trained; the rates are those of the code of 3DGS.
+
+    Attributes:
+        iterations: Number of steps, one view each.
+        budget: Largest number of Gaussians.
+        sh_degree: Degree of the harmonics, 0 to 3; one more every `iterations / 10` steps.
+        strategy: "adaptive" density control (Kerbl et al. 2023) or "mcmc" relocation (Kheradmand et
+            al. 2024).
+        reset_opacities: Whether adaptive density control resets opacities twice.
+        ssim_weight: Weight of 1 - SSIM in the loss.
+    """
+
+    iterations: int = 3000
+    budget: int = 40_000
+    sh_degree: int = 3
+    strategy: Literal["adaptive", "mcmc"] = "adaptive"
+    reset_opacities: bool = True
+    ssim_weight: float = 0.2
+
+
+ADAM = optax.scale_by_adam(eps=1e-15)
+
+
+class Training(NamedTuple):
+    """State of a training: rows of the budget, moments of Adam, and gradients in the image."""
+
+    scene: Gaussians
+    moments: Any
+    gradient: jax.Array
+    seen: jax.Array
+
+
+def capture(
+    cameras: Sequence[Camera],
+    images: np.ndarray,
+    points: Array,
+    colors: Array,
+    *,
+    config: CaptureConfig | None = None,
+    seed: int = 0,
+    progress: Callable[[str, int, int], None] = lambda *_: None,
+) -> Gaussians:
+    """Train a scene from posed images.
+
+    Args:
+        cameras: V cameras with images of one size.
+        images: Their images, RGB in [0, 1], shape (V, H, W, 3).
+        points: Points on the surfaces, such as those of structure from motion, shape (P, 3).
+        colors: Their colours in [0, 1], shape (P, 3).
+        config: How to train.
+        seed: Of the order of the views and of all samples.
+        progress: Called with a stage, the number of steps done, and of all.
+
+    Returns:
+        At most `budget` Gaussians, NumPy float32, as a trainer stores them.
+
+    Raises:
+        ValueError: if the numbers of cameras, images, points and colours do not fit together.
+    """
+    config, rng = config or CaptureConfig(), np.random.default_rng(seed)
+    if not (len(cameras) == len(images) > 0) or len(points) != len(colors) or len(points) < 4:
+        raise ValueError(
+            f"expected an image per camera and a colour for each of at least 4 points, got "
+            f"{len(cameras)} cameras, {len(images)} images, {len(points)} points, "
+            f"{len(colors)} colours"
+        )
+    extent, order = camera_extent(cameras), np.zeros(0, int)
+    weights = config.ssim_weight, REGULARISATION if config.strategy == "mcmc" else 0.0
+    training = _started(initial_scene(points, colors, config, rng))
+    for step in range(config.iterations):
+        if not len(order):
+            order = rng.permutation(len(cameras))
+        index, order = order[0], order[1:]
+        camera = dataclasses.replace(cameras[index], name="")  # static: one compilation for all
+        view = make_view(training.scene, camera)
+        rates = learning_rates(step / config.iterations, extent, config)
+        training = _stepped(training, view, camera, images[index], rates, weights)
+        if config.strategy == "mcmc":
+            noise = disturbance(training.scene, float(rates.means), rng)
+            training = training._replace(scene=_shifted(training.scene, noise))
+        done = (step + 1) / config.iterations
+        if (step + 1) % INTERVAL == 0 and FIRST <= done <= LAST:
+            training = _densified(training, done, extent, config, rng)
+        progress("capture", step + 1, config.iterations)
+    host = jax.tree.map(np.asarray, training.scene)
+    return host.take(np.flatnonzero(np.isfinite(host.logit_opacities)))
+
+
+def camera_extent(cameras: Sequence[Camera]) -> float:
+    """Radius of the cameras around their mean with a margin of 10 %, in world units."""
+    centers = np.array([camera.center for camera in cameras])
+    return 1.1 * float(np.linalg.norm(centers - centers.mean(axis=0), axis=1).max()) or 1.0
+
+
+def initial_scene(
+    points: Array, colors: Array, config: CaptureConfig, rng: np.random.Generator
+) -> Gaussians:
+    """Round Gaussians of opacity 0.1 on at most half of the budget of the points."""
+    rows = rng.permutation(len(points))[: config.budget // 2]
+    points, colors = np.asarray(points, np.float32)[rows], np.asarray(colors)[rows]
+    near = nearest_neighbours(points, np.arange(len(points)), 3)
+    spacing = np.linalg.norm(points[near] - points[:, None], axis=2).mean(axis=1)
+    free = config.budget - len(points)
+    sh = np.zeros((config.budget, (config.sh_degree + 1) ** 2, 3), np.float32)
+    sh[: len(points), 0] = (colors - 0.5) / Y0
+    logits = np.full(config.budget, -np.inf, np.float32)
+    logits[: len(points)] = np.log(0.1 / 0.9)
+    log_scales = np.log(np.maximum(spacing, 1e-7))[:, None].repeat(3, axis=1)
+    return Gaussians(
+        means=np.pad(points, ((0, free), (0, 0))),
+        log_scales=np.pad(log_scales, ((0, free), (0, 0))).astype(np.float32),
+        quats=np.tile(np.array([1, 0, 0, 0], np.float32), (config.budget, 1)),
+        logit_opacities=logits,
+        sh=sh,
+    )
+
+
+def learning_rates(done: float, extent: float, config: CaptureConfig) -> Gaussians:
+    """Rates of all parameters, after this share of the steps."""
+    bands = np.repeat(np.arange(config.sh_degree + 1), 2 * np.arange(config.sh_degree + 1) + 1)
+    sh = np.where(bands <= 10 * done, 2.5e-3 / np.where(bands, 20, 1), 0)
+    return Gaussians(
+        means=np.asarray(1.6e-4 * extent * 0.01**done, np.float32),
+        log_scales=np.asarray(5e-3, np.float32),
+        quats=np.asarray(1e-3, np.float32),
+        logit_opacities=np.asarray(0.025, np.float32),
+        sh=sh[None, :, None].astype(np.float32),
+    )
+
+
+def _started(scene: Gaussians) -> Training:
+    scene = jax.tree.map(jnp.asarray, scene)
+    moments = ADAM.init(cast(Any, scene))
+    return Training(scene, moments, jnp.zeros(len(scene)), jnp.zeros(len(scene)))
+
+
+@jax.jit
+def _stepped(
+    training: Training,
+    view: View,
+    camera: Camera,
+    image: jax.Array,
+    rates: Gaussians,
+    weights: tuple[float, float],
+) -> Training:
+    """One step of Adam on one view; sums the gradients by the means in the image, as 3DGS does."""
+    used = jnp.isfinite(training.scene.logit_opacities)
+
+    def loss(scene: Gaussians, shift: jax.Array) -> jax.Array:
+        moved = reprojected(view, scene, camera)
+        splats = jnp.asarray(moved.splats).at[:-1, :2].add(shift)
+        moved = dataclasses.replace(moved, splats=splats)
+        rendered, _ = render_view(moved, scene, camera)
+        difference = jnp.mean(jnp.abs(rendered - image))
+        sizes = scene.opacities + jnp.mean(scene.scales, axis=1)
+        regular = jnp.sum(jnp.where(used, sizes, 0)) / jnp.sum(used, dtype=jnp.float32)
+        dissimilar = 1 - ssim(rendered, image)
+        return (1 - weights[0]) * difference + weights[0] * dissimilar + weights[1] * regular
+
+    scene = training.scene
+    by_scene, by_shift = jax.grad(loss, (0, 1))(scene, jnp.zeros((len(scene), 2)))
+    with jax.numpy_dtype_promotion("standard"):  # optax mixes integers and floats
+        updates, moments = ADAM.update(by_scene, training.moments)
+    scene = jax.tree.map(lambda leaf, update, rate: leaf - rate * update, scene, updates, rates)
+    # In normalised device coordinates, in which the threshold of 3DGS is given.
+    half = jnp.array([[view.width / 2, view.height / 2]])
+    length = jnp.linalg.norm(by_shift * half, axis=1)
+    seen = training.seen + (length > 0).astype(jnp.float32)
+    return Training(scene, moments, training.gradient + length, seen)
+
+
+def _densified(
+    training: Training,
+    done: float,
+    extent: float,
+    config: CaptureConfig,
+    rng: np.random.Generator,
+) -> Training:
+    """The state after a densification; the moments of changed rows start again."""
+    scene = jax.tree.map(np.array, training.scene)
+    if config.strategy == "mcmc":
+        changed = relocate(scene, rng)
+    else:
+        gradient = np.asarray(training.gradient / jnp.maximum(training.seen, 1))
+        changed = adapt_density(scene, gradient, extent, rng)
+        since = done - INTERVAL / config.iterations
+        if config.reset_opacities and any(since < reset <= done for reset in RESETS):
+            changed |= reset_opacities(scene)
+    kept = jnp.asarray(~changed, jnp.float32)
+    mu, nu = (
+        jax.tree.map(lambda leaf: leaf * kept.reshape(-1, *[1] * (leaf.ndim - 1)), moment)
+        for moment in (training.moments.mu, training.moments.nu)
+    )
+    fresh = _started(scene)
+    return fresh._replace(moments=training.moments._replace(mu=mu, nu=nu))
+
+
+def _shifted(scene: Gaussians, shift: np.ndarray) -> Gaussians:
+    return dataclasses.replace(scene, means=scene.means + shift)
+
+
+def ssim(one: jax.Array, other: jax.Array) -> jax.Array:
+    """Mean structural similarity of two images (H, W, 3) in [0, 1] (Wang et al. 2004)."""
+    height, width, _ = one.shape
+    maps = jnp.concatenate([one, other, one * one, other * other, one * other], axis=2)
+    rows, columns = _window(height), _window(width)
+    smooth = jnp.einsum("hi,ijc,wj->hwc", rows, maps, columns)
+    mean, mean2, square, square2, product = jnp.split(smooth, 5, axis=2)
+    variances = square - mean**2 + square2 - mean2**2
+    luminance = (2 * mean * mean2 + C1) / (mean**2 + mean2**2 + C1)
+    structure = (2 * (product - mean * mean2) + C2) / (variances + C2)
+    return jnp.mean(luminance * structure)
+
+
+def _window(size: int) -> np.ndarray:
+    """The Gaussian window as a matrix (size, size); zero outside of the image."""
+    offset = np.arange(size)[:, None] - np.arange(size)
+    weights = np.exp(-0.5 * (offset / SSIM_SIGMA) ** 2) * (np.abs(offset) <= SSIM_REACH)
+    reach = np.arange(-SSIM_REACH, SSIM_REACH + 1)
+    return (weights / np.exp(-0.5 * (reach / SSIM_SIGMA) ** 2).sum()).astype(np.float32)
+
+
+def psnr(one: Array, other: Array) -> float:
+    """Peak signal-to-noise ratio of images in [0, 1], in dB."""
+    return float(-10 * np.log10(np.mean(np.square(np.subtract(one, other))) + 1e-12))

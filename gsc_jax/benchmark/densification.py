@@ -1,0 +1,124 @@
+"""Densification of a capture: adaptive density control, and relocation under a budget (MCMC).
+
+Adaptive density control (Kerbl et al. 2023, section 5) clones small Gaussians and splits large ones
+whose centre has a large gradient in the image, and prunes transparent ones. 3DGS-MCMC (Kheradmand
+et al. 2024) moves transparent Gaussians to opaque ones such that the image stays, adds 5 % at a
+time up to the budget, and disturbs the centres of transparent ones. The two leave different
+statistics. Rows that are not in use have an opacity of 0 (a logit of minus infinity).
+"""
+
+import jax
+import numpy as np
+from scipy.spatial.transform import Rotation
+from scipy.special import comb, expit, logit
+
+from gsc_jax.scene import Array, Gaussians
+
+RESET_OPACITY, MIN_OPACITY = 0.01, 0.005
+"""Opacity after a reset, and that below which a Gaussian counts as transparent."""
+MIN_GRADIENT = 2e-4
+"""Mean length of the gradient by the centre, in normalised device coordinates, to densify."""
+SMALL, SHRINK = 0.01, 1.6
+"""Scale in units of the extent up to which a Gaussian is cloned; divisor of scales in a split."""
+GROWTH, MAX_COPIES = 0.05, 16
+"""Growth of MCMC at a time, and most copies of one Gaussian."""
+NOISE, NOISY_OPACITY = 5e5, 0.1
+"""Noise of MCMC in units of the learning rate of the centres; opacity above which it vanishes."""
+
+
+def adapt_density(
+    scene: Gaussians, gradient: np.ndarray, extent: float, rng: np.random.Generator
+) -> np.ndarray:
+    """Prune, then clone and split into the free rows, in place; the rows that changed, (N,) bool.
+
+    The gradient is the mean length by the centre, shape (N,). Where rows are scarce, the largest
+    gradients come first.
+    """
+    opacities, scales = expit(scene.logit_opacities), np.exp(scene.log_scales).max(axis=1)
+    scene.logit_opacities[opacities < MIN_OPACITY] = -np.inf
+    free = np.flatnonzero(np.isneginf(scene.logit_opacities))
+    wanted = (gradient >= MIN_GRADIENT) & np.isfinite(scene.logit_opacities)
+    chosen = np.argsort(-np.where(wanted, gradient, 0), kind="stable")
+    chosen = chosen[: min(int(wanted.sum()), len(free))]
+    new = free[: len(chosen)]
+    copy_rows(scene, chosen, new)
+    split = scales[chosen] > SMALL * extent
+    both = np.concatenate([chosen[split], new[split]])
+    local = np.exp(scene.log_scales[both]) * rng.normal(size=(len(both), 3))
+    scene.means[both] += _rotated(scene.quats[both], local)
+    scene.log_scales[both] -= np.log(SHRINK)
+    return _marked(len(scene), np.concatenate([new, both]))
+
+
+def relocate(scene: Gaussians, rng: np.random.Generator) -> np.ndarray:
+    """Move transparent Gaussians to opaque ones and add some, in place; the changed rows, (N,)."""
+    opacities = expit(scene.logit_opacities)
+    used = np.isfinite(scene.logit_opacities)
+    alive = opacities >= MIN_OPACITY
+    unused = np.flatnonzero(~used)
+    added = unused[: int(GROWTH * used.sum())]
+    targets = np.concatenate([np.flatnonzero(used & ~alive), added])
+    sources = np.flatnonzero(alive)
+    if not len(sources) or not len(targets):
+        return np.zeros(len(scene), bool)
+    drawn = rng.choice(sources, len(targets), p=opacities[sources] / opacities[sources].sum())
+    copies = np.bincount(drawn, minlength=len(scene)) + 1
+    rows = np.unique(drawn)
+    fewer = np.minimum(copies[rows], MAX_COPIES)
+    opacity, ratio = shared_opacity(opacities[rows], fewer)
+    scene.logit_opacities[rows] = logit(np.clip(opacity, MIN_OPACITY, 1 - 1e-6))
+    scene.log_scales[rows] += np.log(ratio)[:, None]
+    copy_rows(scene, drawn, targets)
+    return _marked(len(scene), np.concatenate([rows, targets]))
+
+
+def shared_opacity(opacity: np.ndarray, copies: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Opacity of n copies that together look like one, and the ratio of their scales, both (M,).
+
+    1 - (1 - o)^(1/n), and eq. 9 of Kheradmand et al. (2024), which keeps the sum along a ray.
+    """
+    new = 1 - (1 - opacity) ** (1 / copies)
+    total = np.zeros_like(opacity)
+    for i in range(1, int(copies.max(initial=0)) + 1):
+        k = np.arange(i)
+        terms = comb(i - 1, k) * (-1.0) ** k / np.sqrt(k + 1) * new[:, None] ** (k + 1)
+        total += np.where(i <= copies, terms.sum(axis=1), 0)
+    return new, opacity / total
+
+
+def copy_rows(scene: Gaussians, sources: np.ndarray, targets: np.ndarray) -> None:
+    """Copy all parameters of rows to other rows, in place."""
+    for leaf in jax.tree.leaves(scene):
+        leaf[targets] = leaf[sources]
+
+
+def reset_opacities(scene: Gaussians) -> np.ndarray:
+    """Lower opacities to `RESET_OPACITY`, in place; the changed rows, (N,) bool."""
+    high = expit(scene.logit_opacities) > RESET_OPACITY
+    scene.logit_opacities[high] = logit(RESET_OPACITY)
+    return high
+
+
+def disturbance(scene: Gaussians, rate: float, rng: np.random.Generator) -> np.ndarray:
+    """Noise of MCMC for the centres, (N, 3): along the axes, for nearly transparent Gaussians."""
+    opacities = expit(np.asarray(scene.logit_opacities))
+    rows = np.flatnonzero((opacities > 0) & (opacities < NOISY_OPACITY))
+    log_scales, quats = np.asarray(scene.log_scales)[rows], np.asarray(scene.quats)[rows]
+    local = np.exp(2 * log_scales) * rng.normal(size=(len(rows), 3))
+    sizes = NOISE * rate * expit(100 * (MIN_OPACITY - opacities[rows]))
+    noise = np.zeros((len(scene), 3), np.float32)
+    noise[rows] = sizes[:, None] * _rotated(quats, local)
+    return noise
+
+
+def _rotated(quats: Array, vectors: np.ndarray) -> np.ndarray:
+    """Vectors (N, 3), given along the axes of Gaussians, in the world."""
+    if not len(vectors):
+        return vectors
+    return Rotation.from_quat(np.asarray(quats), scalar_first=True).apply(vectors)
+
+
+def _marked(count: int, rows: np.ndarray) -> np.ndarray:
+    marked = np.zeros(count, bool)
+    marked[rows] = True
+    return marked

@@ -1,0 +1,147 @@
+"""Captures: training improves views that it never saw, and densification keeps to its rules."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.special import expit
+from skimage.metrics import structural_similarity
+from strategies import random_scene
+
+import gsc_jax
+from gsc_jax.benchmark import capture as module
+from gsc_jax.benchmark.capture import (
+    CaptureConfig,
+    capture,
+    initial_scene,
+    learning_rates,
+    psnr,
+    ssim,
+)
+from gsc_jax.benchmark.densification import (
+    MIN_OPACITY,
+    RESET_OPACITY,
+    adapt_density,
+    relocate,
+    reset_opacities,
+    shared_opacity,
+)
+from gsc_jax.benchmark.scenes import tampered_room
+from gsc_jax.render.spherical_harmonics import Y0
+
+ROOM = tampered_room(count=2_000, views=13, heldout=0, width=48, height=36)
+IMAGES = np.stack([gsc_jax.render(ROOM.gaussians, camera)[0] for camera in ROOM.cameras])
+POINTS = np.random.default_rng(0).choice(2_000, 500, replace=False)
+START = (ROOM.gaussians.means[POINTS], np.clip(0.5 + Y0 * ROOM.gaussians.sh[POINTS, 0], 0, 1))
+
+
+def heldout_psnr(scene) -> float:
+    return psnr(gsc_jax.render(scene, ROOM.cameras[-1])[0], IMAGES[-1])
+
+
+@pytest.mark.parametrize("strategy", ["adaptive", "mcmc"])
+def test_training_improves_a_view_that_it_never_saw(monkeypatch, strategy):
+    monkeypatch.setattr(module, "INTERVAL", 20)
+    config = CaptureConfig(iterations=120, budget=800, sh_degree=1, strategy=strategy)
+    steps = []
+    scene, again = (
+        capture(ROOM.cameras[:-1], IMAGES[:-1], *START, config=config, progress=progress)
+        for progress in (lambda *done: steps.append(done), lambda *_: None)
+    )
+    assert steps[-1] == ("capture", 120, 120)
+    assert 400 < len(scene) <= 800
+    assert scene.sh.shape[1:] == (4, 3)
+    assert np.isfinite(scene.means).all()
+    np.testing.assert_array_equal(scene.means, again.means)
+    start = initial_scene(*START, config, np.random.default_rng(0))
+    before = heldout_psnr(start.take(np.isfinite(start.logit_opacities)))
+    assert heldout_psnr(scene) > before + 2
+
+
+def test_inputs_that_do_not_fit_together_are_errors():
+    with pytest.raises(ValueError, match="2 cameras, 1 images"):
+        capture(ROOM.cameras[:2], IMAGES[:1], *START)
+    with pytest.raises(ValueError, match="3 points"):
+        capture(ROOM.cameras[:1], IMAGES[:1], START[0][:3], START[1][:3])
+
+
+def test_similarity_is_that_of_scikit_image():
+    one, other = IMAGES[0], np.clip(IMAGES[0] + np.float32(0.1) * IMAGES[1], 0, 1)
+    expected = structural_similarity(
+        one,
+        other,
+        channel_axis=2,
+        data_range=1.0,
+        gaussian_weights=True,
+        sigma=1.5,
+        use_sample_covariance=False,
+    )
+    assert float(ssim(one, other)) == pytest.approx(expected, abs=0.02)  # borders differ
+    assert float(ssim(one, one)) == pytest.approx(1)
+
+
+def test_rates_fall_and_harmonics_start_one_degree_after_the_other():
+    config = CaptureConfig(sh_degree=3)
+    first, later, last = (learning_rates(done, 2.0, config) for done in (0.0, 0.15, 1.0))
+    assert float(last.means) == pytest.approx(float(first.means) / 100)
+    for rates, active in ((first, 1), (later, 4), (last, 16)):
+        assert np.count_nonzero(rates.sh) == active
+
+
+def scene_of_four():
+    """Opaque small, opaque large, transparent, and an unused row; three more unused ones."""
+    scene = random_scene(7)
+    scene.log_scales[:] = np.log(0.001)
+    scene.log_scales[1] = np.log(0.5)
+    scene.logit_opacities[:] = [2, 2, -8, -np.inf, -np.inf, -np.inf, -np.inf]
+    return scene
+
+
+def test_small_gaussians_are_cloned_large_ones_split_and_transparent_ones_pruned():
+    scene, before = scene_of_four(), scene_of_four()
+    gradient = np.array([1e-3, 2e-3, 1e-3, 0, 0, 0, 0])
+    changed = adapt_density(scene, gradient, 1.0, np.random.default_rng(0))
+    assert changed.tolist() == [False, True, True, True, False, False, False]
+    assert np.isfinite(scene.logit_opacities).sum() == 4
+    clone = scene.take(np.array([3]))
+    np.testing.assert_array_equal(clone.means, before.means[:1])
+    np.testing.assert_allclose(scene.log_scales[1:3], np.log(0.5 / 1.6), rtol=1e-6)
+    assert not np.any(scene.means[1:3] == before.means[1])
+
+
+def test_without_free_rows_the_budget_holds():
+    scene = random_scene(5)
+    scene.logit_opacities[:] = 2
+    assert not adapt_density(scene, np.ones(5), 1.0, np.random.default_rng(0)).any()
+
+
+def test_transparent_gaussians_move_to_opaque_ones():
+    scene = random_scene(40)
+    scene.logit_opacities[:] = 1
+    scene.logit_opacities[:4], scene.logit_opacities[-10:] = -9, -np.inf
+    changed = relocate(scene, np.random.default_rng(0))
+    opacities = expit(scene.logit_opacities)
+    assert np.isfinite(scene.logit_opacities).sum() == 31  # 5 % of 30 more
+    assert (opacities[:31] >= MIN_OPACITY).all()
+    assert changed[:4].all()
+    assert changed[30]
+    assert not changed[31:].any()
+
+
+@pytest.mark.parametrize("opacity", [0.05, 0.5, 0.9])
+def test_copies_share_the_opacity_of_the_original(opacity):
+    copies = np.array([1, 2, 5])
+    new, ratio = shared_opacity(np.full(3, opacity), copies)
+    np.testing.assert_allclose(1 - (1 - new) ** copies, opacity)
+    # Along a ray through the centre, the blended mass of a Gaussian of scale s is its integral.
+    x = np.linspace(-8, 8, 20_001)
+    for n, o, scale in zip(copies, new, ratio, strict=True):
+        alpha = o * np.exp(-0.5 * (x / scale) ** 2)
+        mass = np.trapezoid(1 - (1 - alpha) ** n, x)
+        assert mass == pytest.approx(opacity * np.sqrt(2 * np.pi), rel=1e-3)
+
+
+def test_a_reset_lowers_opacities():
+    scene = dataclasses.replace(random_scene(3), logit_opacities=np.array([-9.0, 0, 3], np.float32))
+    assert reset_opacities(scene).tolist() == [False, True, True]
+    np.testing.assert_allclose(expit(scene.logit_opacities)[1:], RESET_OPACITY, rtol=1e-5)

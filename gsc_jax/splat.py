@@ -21,7 +21,7 @@ from jax.custom_derivatives import CustomVJPPrimal, SymbolicZero
 
 from gsc_jax.render.projection import MIN_ALPHA, NEAR
 from gsc_jax.render.spherical_harmonics import colors
-from gsc_jax.render.tiles import TILE, View, make_view
+from gsc_jax.render.tiles import TILE, View, make_view, require_view_of
 from gsc_jax.scene import Array, Camera, Gaussians
 
 MAX_ALPHA = 0.99
@@ -308,7 +308,7 @@ def render(
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),
     near: float = NEAR,
 ) -> tuple[jax.Array, jax.Array]:
-    """Render a scene; differentiable by the Gaussians and the camera, see docs/gradients.md.
+    """Render a scene; `jax.grad` and `jax.vjp` differentiate it by the Gaussians and the camera.
 
     Args:
         gaussians: N Gaussians.
@@ -339,7 +339,11 @@ def render_view(
     """Render a scene as `render` does, given the view that `make_view` has built for it.
 
     Under `jax.jit`, derivatives need `reprojected(view, gaussians, camera)` as the view.
+
+    Raises:
+        ValueError: if the view is one of another number of Gaussians or of another image size.
     """
+    require_view_of(view, gaussians, camera)
     rgb, alpha = composite_with_alpha(view, colors(gaussians.sh, gaussians.means, camera.center))
     behind = (1.0 - alpha)[..., None] * jnp.asarray(background, jnp.float32)[None, None]
     return jnp.minimum(rgb + behind, 1.0), alpha

@@ -52,7 +52,7 @@ class Options:
 
 @dataclasses.dataclass(frozen=True)
 class Mutant:
-    """One change: what `operator` does to the occurrence of that number in the file `path`."""
+    """One mutation: `operator` applied at its `occurrence`-th match in the file `path`."""
 
     path: str
     operator: str

@@ -78,6 +78,22 @@ def test_the_derivative_by_the_pose_is_that_of_the_reference(seed):
     assert abs(products.sum() - slope(change, maps)) < 2e-4 * np.abs(products).sum()
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_the_derivative_by_the_intrinsics_is_that_of_the_reference(seed):
+    gaussians = random_scene(60, seed=seed, degree=3)
+    maps, K = clear_maps(gaussians, VIEW), np.asarray(VIEW.K, np.float64)
+    direction = np.random.default_rng(seed).normal(size=(3, 3)) * [[1, 0, 1], [0, 1, 1], [0, 0, 0]]
+
+    def change(t):
+        return gaussians, dataclasses.replace(VIEW, K=K + t * direction)
+
+    def by_intrinsics(K):
+        return loss(gaussians, dataclasses.replace(VIEW, K=K), maps)
+
+    products = jax.grad(by_intrinsics)(jnp.asarray(VIEW.K)) * direction
+    assert abs(products.sum() - slope(change, maps)) < 2e-4 * np.abs(products).sum()
+
+
 def test_the_derivative_by_the_features_is_accumulate():
     gaussians = random_scene(200)
     view = make_view(gaussians, VIEW)
@@ -99,6 +115,13 @@ def test_a_clamped_alpha_has_no_derivative():
 @pytest.mark.parametrize(
     ("field", "value"),
     [
+        ("means", np.nan),
+        ("log_scales", np.nan),
+        ("log_scales", 89.0),
+        ("quats", np.nan),
+        ("quats", np.inf),
+        ("logit_opacities", np.nan),
+        ("sh", np.nan),
         ("logit_opacities", np.inf),
         ("logit_opacities", -np.inf),
         ("log_scales", -np.inf),
@@ -108,10 +131,21 @@ def test_a_clamped_alpha_has_no_derivative():
         ("quats", 0.0),
     ],
 )
+@pytest.mark.usefixtures("nan_is_an_error")
 def test_extreme_rows_have_finite_derivatives(field, value):
     gaussians = with_row(random_scene(20), field, value)
-    gradient = jax.grad(loss)(gaussians, VIEW, MAPS)
+    gradient = jax.grad(loss, (0, 1))(gaussians, VIEW, MAPS)
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(gradient))
+
+
+def test_a_view_of_other_gaussians_or_another_size_is_an_error():
+    gaussians = random_scene(5)
+    view = make_view(random_scene(12), VIEW)
+    for function in (reprojected, render_view):
+        with pytest.raises(ValueError, match="expected a view of 5 Gaussians with 33 x 25"):
+            function(view, gaussians, VIEW)
+        with pytest.raises(ValueError, match="with 17 x 15 pixels, got one of 12 with 33 x 25"):
+            function(view, random_scene(12), camera(17, 15))
 
 
 def test_a_step_under_jit_has_the_derivatives_of_render():

@@ -7,7 +7,7 @@ not in use are transparent, so that a step is compiled once.
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Any, Literal, NamedTuple, cast
+from typing import Any, Literal, NamedTuple, cast, get_args
 
 import jax
 import jax.numpy as jnp
@@ -38,6 +38,9 @@ REGULARISATION = 0.01
 """Weight of the mean opacity and of the mean scale in the loss of MCMC."""
 
 
+Strategy = Literal["adaptive", "mcmc"]
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class CaptureConfig:
     """How a scene is trained; the rates are those of the code of 3DGS.
@@ -50,14 +53,29 @@ class CaptureConfig:
             al. 2024).
         reset_opacities: Whether adaptive density control resets opacities twice.
         ssim_weight: Weight of 1 - SSIM in the loss.
+
+    Raises:
+        ValueError: if an option is not one of the choices or out of its range.
     """
 
     iterations: int = 3000
     budget: int = 40_000
     sh_degree: int = 3
-    strategy: Literal["adaptive", "mcmc"] = "adaptive"
+    strategy: Strategy = "adaptive"
     reset_opacities: bool = True
     ssim_weight: float = 0.2
+
+    def __post_init__(self) -> None:
+        """Check the options."""
+        if self.strategy not in get_args(Strategy):
+            raise ValueError(f"strategy must be {get_args(Strategy)}, got {self.strategy!r}")
+        if self.iterations < 1 or self.budget < 8 or not 0 <= self.sh_degree <= 3:
+            raise ValueError(
+                "expected at least 1 iteration, a budget of at least 8 Gaussians and a degree of "
+                f"0 to 3, got {self.iterations}, {self.budget} and {self.sh_degree}"
+            )
+        if not 0 <= self.ssim_weight <= 1:
+            raise ValueError(f"ssim_weight must be in [0, 1], got {self.ssim_weight}")
 
 
 ADAM = optax.scale_by_adam(eps=1e-15)
@@ -89,8 +107,8 @@ def capture(
         images: Their images, RGB in [0, 1], shape (V, H, W, 3).
         points: Points on the surfaces, such as those of structure from motion, shape (P, 3).
         colors: Their colours in [0, 1], shape (P, 3).
-        config: How to train.
-        seed: Of the order of the views and of all samples.
+        config: Training options.
+        seed: Seed of the random order of views and of all random draws.
         progress: Called with a stage, the number of steps done, and of all.
 
     Returns:
@@ -106,6 +124,12 @@ def capture(
             f"{len(cameras)} cameras, {len(images)} images, {len(points)} points, "
             f"{len(colors)} colours"
         )
+    for camera in cameras:
+        if images.shape[1:] != (camera.height, camera.width, 3):
+            raise ValueError(
+                f"expected images of the size of their cameras, {camera.width} x {camera.height}, "
+                f"in RGB, got images of shape {images.shape[1:]}"
+            )
     extent, order = camera_extent(cameras), np.zeros(0, int)
     weights = config.ssim_weight, REGULARISATION if config.strategy == "mcmc" else 0.0
     training = _started(initial_scene(points, colors, config, rng))
@@ -196,7 +220,7 @@ def _stepped(
         difference = jnp.mean(jnp.abs(rendered - image))
         sizes = scene.opacities + jnp.mean(scene.scales, axis=1)
         regular = jnp.sum(jnp.where(used, sizes, 0)) / jnp.sum(used, dtype=jnp.float32)
-        dissimilar = 1 - ssim(rendered, image)
+        dissimilar = 1 - jnp.mean(ssim(rendered, image))
         return (1 - weights[0]) * difference + weights[0] * dissimilar + weights[1] * regular
 
     scene = training.scene
@@ -207,7 +231,7 @@ def _stepped(
     # In normalised device coordinates, in which the threshold of 3DGS is given.
     half = jnp.array([[view.width / 2, view.height / 2]])
     length = jnp.linalg.norm(by_shift * half, axis=1)
-    seen = training.seen + (length > 0).astype(jnp.float32)
+    seen = training.seen + jnp.isfinite(view.splats[:-1, 5]).astype(jnp.float32)
     return Training(scene, moments, training.gradient + length, seen)
 
 
@@ -219,7 +243,7 @@ def _densified(
     rng: np.random.Generator,
 ) -> Training:
     """The state after a densification; the moments of changed rows start again."""
-    scene = jax.tree.map(np.array, training.scene)
+    scene, lowered = jax.tree.map(np.array, training.scene), np.zeros(config.budget, bool)
     if config.strategy == "mcmc":
         changed = relocate(scene, rng)
     else:
@@ -227,14 +251,20 @@ def _densified(
         changed = adapt_density(scene, gradient, extent, rng)
         since = done - INTERVAL / config.iterations
         if config.reset_opacities and any(since < reset <= done for reset in RESETS):
-            changed |= reset_opacities(scene)
-    kept = jnp.asarray(~changed, jnp.float32)
+            lowered = reset_opacities(scene)
     mu, nu = (
-        jax.tree.map(lambda leaf: leaf * kept.reshape(-1, *[1] * (leaf.ndim - 1)), moment)
+        _forgotten(moment, changed, lowered)
         for moment in (training.moments.mu, training.moments.nu)
     )
-    fresh = _started(scene)
-    return fresh._replace(moments=training.moments._replace(mu=mu, nu=nu))
+    return _started(scene)._replace(moments=training.moments._replace(mu=mu, nu=nu))
+
+
+def _forgotten(moments: Gaussians, changed: np.ndarray, lowered: np.ndarray) -> Gaussians:
+    """Moments with 0 for changed rows (N,), and for the opacities that were lowered (N,)."""
+    kept = jnp.asarray(~changed, jnp.float32)
+    moments = jax.tree.map(lambda leaf: leaf * kept.reshape(-1, *[1] * (leaf.ndim - 1)), moments)
+    logits = moments.logit_opacities * jnp.asarray(~lowered, jnp.float32)
+    return dataclasses.replace(moments, logit_opacities=logits)
 
 
 def _shifted(scene: Gaussians, shift: np.ndarray) -> Gaussians:
@@ -242,7 +272,7 @@ def _shifted(scene: Gaussians, shift: np.ndarray) -> Gaussians:
 
 
 def ssim(one: jax.Array, other: jax.Array) -> jax.Array:
-    """Mean structural similarity of two images (H, W, 3) in [0, 1] (Wang et al. 2004)."""
+    """Structural similarity of two images in [0, 1] per pixel, (H, W, 3) (Wang et al. 2004)."""
     height, width, _ = one.shape
     maps = jnp.concatenate([one, other, one * one, other * other, one * other], axis=2)
     rows, columns = _window(height), _window(width)
@@ -251,7 +281,7 @@ def ssim(one: jax.Array, other: jax.Array) -> jax.Array:
     variances = square - mean**2 + square2 - mean2**2
     luminance = (2 * mean * mean2 + C1) / (mean**2 + mean2**2 + C1)
     structure = (2 * (product - mean * mean2) + C2) / (variances + C2)
-    return jnp.mean(luminance * structure)
+    return luminance * structure
 
 
 def _window(size: int) -> np.ndarray:

@@ -5,6 +5,9 @@ whose centre has a large gradient in the image, and prunes transparent ones. 3DG
 et al. 2024) moves transparent Gaussians to opaque ones such that the image stays, adds 5 % at a
 time up to the budget, and disturbs the centres of transparent ones. The two leave different
 statistics. Rows that are not in use have an opacity of 0 (a logit of minus infinity).
+
+It departs from the code of both papers in this: large Gaussians are not pruned, both strategies
+start with the same scene, and relocation and growth share one draw and end with densification.
 """
 
 import jax
@@ -20,8 +23,8 @@ MIN_GRADIENT = 2e-4
 """Mean length of the gradient by the centre, in normalised device coordinates, to densify."""
 SMALL, SHRINK = 0.01, 1.6
 """Scale in units of the extent up to which a Gaussian is cloned; divisor of scales in a split."""
-GROWTH, MAX_COPIES = 0.05, 16
-"""Growth of MCMC at a time, and most copies of one Gaussian."""
+GROWTH, MAX_COPIES = 0.05, 51
+"""Growth of MCMC at a time; largest number of copies in eq. 9, as in its code."""
 NOISE, NOISY_OPACITY = 5e5, 0.1
 """Noise of MCMC in units of the learning rate of the centres; opacity above which it vanishes."""
 

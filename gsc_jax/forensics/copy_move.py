@@ -90,7 +90,7 @@ def _arranged(
     spread = widening * MAX_SPREAD * np.maximum(reach[rows], reach[duplicates])
 
     def together(some: np.ndarray) -> np.ndarray:
-        """Share of the neighbours whose duplicates lie close to the own one."""
+        """Share of the neighbours whose duplicates lie close to the duplicate of the row."""
         own, others = means[duplicates[some]], means[duplicates[near[some]]]
         close = np.linalg.norm(others - own[:, None], axis=2) <= spread[some, None]
         return (has[near[some]] & close).mean(axis=1)

@@ -73,8 +73,9 @@ def encode(gaussians: Gaussians) -> "PlyData":
     }
     for first, values in parts.items():
         table[:, names.index(first) :][:, : values.shape[1]] = values
-    rest = table[:, names.index("opacity") - rests : names.index("opacity")]
-    rest.reshape(len(host), 3, -1, copy=False)[:] = host.sh[:, 1:].transpose(0, 2, 1)
+    for channel in range(3):
+        first = names.index("opacity") - rests + channel * rests // 3
+        table[:, first : first + rests // 3] = host.sh[:, 1:, channel]
     data = table.view([(name, "<f4") for name in names]).reshape(len(table))
     return PlyData([PlyElement.describe(data, "vertex")], byte_order="<")
 

@@ -52,13 +52,16 @@ def colors(sh: jax.Array, means: jax.Array, center: jax.Array) -> jax.Array:
     may exceed 1, and are 0 where not finite.
     """
     degree = round(sh.shape[1] ** 0.5) - 1
-    towards = means - center[None]
+    # Placeholders before any arithmetic: 0 times the derivative of a NaN would be NaN.
+    somewhere = jnp.all(jnp.isfinite(means), axis=1, keepdims=True)
+    known = somewhere & jnp.all(jnp.isfinite(sh), axis=1)
+    sh = jnp.where(known[:, None], sh, 0.0)
+    towards = jnp.where(somewhere, means, center[None]) - center[None]
     square = jnp.sum(towards * towards, axis=-1, keepdims=True)
-    # The derivative of a square root is infinite at 0, hence the condition inside of it.
     directions = towards / jnp.sqrt(jnp.where(square > 0, square, 1.0))
     values = jnp.einsum("nk,nkc->nc", basis(directions, degree), sh, precision="highest")
     rgb = jnp.maximum(0.5 + values, 0.0)
-    return jnp.where(jnp.isfinite(rgb), rgb, 0.0)
+    return jnp.where(known & jnp.isfinite(rgb), rgb, 0.0)
 
 
 def rotate(sh: Array, rotation: Array) -> jax.Array:

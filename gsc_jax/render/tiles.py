@@ -70,7 +70,8 @@ def make_view(
     """Project and bin a scene for a camera.
 
     Args:
-        gaussians: N Gaussians, not traced: the length of the lists depends on the data.
+        gaussians: N Gaussians, which `jax.grad` may trace, but not `jax.jit`: the length of the
+            lists depends on the data.
         camera: Pose, intrinsics and image size.
         near: Near plane in world units.
         lockstep: Tiles in a group; default all on an accelerator, at most 128 on a CPU.
@@ -110,8 +111,32 @@ def reprojected(view: View, gaussians: Gaussians, camera: Camera, *, near: float
     """The view with new parameters of its Gaussians in unchanged lists, also under `jax.jit`.
 
     The lists stay right as long as the parameters change little, as in a step of an optimiser.
+
+    Args:
+        view: View of N Gaussians, from `make_view`.
+        gaussians: The same Gaussians with new parameters.
+        camera: The camera of the view; its pose may have changed a little.
+        near: Near plane in world units.
+
+    Returns:
+        The view, whose `splats` can be differentiated by the Gaussians and the camera.
+
+    Raises:
+        ValueError: if the view is one of another number of Gaussians or of another image size.
     """
+    require_view_of(view, gaussians, camera)
     return dataclasses.replace(view, splats=_table(project(gaussians, camera, near=near)))
+
+
+def require_view_of(view: View, gaussians: Gaussians, camera: Camera) -> None:
+    """Raise ValueError if a view is not one of these Gaussians, or of another image size."""
+    found = view.splats.shape[0] - 1, view.width, view.height
+    expected = len(gaussians), camera.width, camera.height
+    if found != expected:
+        raise ValueError(
+            "expected a view of {} Gaussians with {} x {} pixels".format(*expected)
+            + ", got one of {} with {} x {}".format(*found)
+        )
 
 
 def _concrete(splats: Splats) -> Splats:
@@ -160,7 +185,9 @@ def _padded(ids: np.ndarray) -> np.ndarray:
 
 @jax.jit
 def _table(splats: Splats) -> jax.Array:
-    table = [splats.means, splats.whitening, jnp.log(splats.opacities)[:, None]]
+    opaque = splats.opacities > 0
+    logs = jnp.where(opaque, jnp.log(jnp.where(opaque, splats.opacities, 1.0)), -jnp.inf)
+    table = [splats.means, splats.whitening, logs[:, None]]
     padded = jnp.pad(jnp.concatenate(table, axis=1), ((0, 1), (0, 0)))
     return padded.at[-1, -1].set(-jnp.inf)
 

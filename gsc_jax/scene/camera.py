@@ -40,7 +40,8 @@ class Camera:
     @property
     def center(self) -> Array:
         """Position of the camera in the world, shape (3,) float32."""
-        return -self.viewmat[:3, :3].T @ self.viewmat[:3, 3]
+        # Sums of products: a matrix product on an accelerator may round to fewer bits.
+        return -(self.viewmat[:3, :3] * self.viewmat[:3, 3:]).sum(axis=0)
 
     def scaled(self, factor: float) -> "Camera":
         """The same camera with an image `factor` times as wide and high, at least one pixel."""

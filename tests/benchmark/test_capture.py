@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from scipy.special import expit
 from skimage.metrics import structural_similarity
 from strategies import random_scene
@@ -12,6 +13,7 @@ import gsc_jax
 from gsc_jax.benchmark import capture as module
 from gsc_jax.benchmark.capture import (
     CaptureConfig,
+    _forgotten,
     capture,
     initial_scene,
     learning_rates,
@@ -22,6 +24,7 @@ from gsc_jax.benchmark.densification import (
     MIN_OPACITY,
     RESET_OPACITY,
     adapt_density,
+    disturbance,
     relocate,
     reset_opacities,
     shared_opacity,
@@ -63,21 +66,59 @@ def test_inputs_that_do_not_fit_together_are_errors():
         capture(ROOM.cameras[:2], IMAGES[:1], *START)
     with pytest.raises(ValueError, match="3 points"):
         capture(ROOM.cameras[:1], IMAGES[:1], START[0][:3], START[1][:3])
+    with pytest.raises(ValueError, match="48 x 36"):
+        capture(ROOM.cameras[:1], IMAGES[:1, ::2], *START)
 
 
 def test_similarity_is_that_of_scikit_image():
-    one, other = IMAGES[0], np.clip(IMAGES[0] + np.float32(0.1) * IMAGES[1], 0, 1)
-    expected = structural_similarity(
+    one, other = np.random.default_rng(0).random((2, 36, 48, 3), np.float32)
+    similarity = structural_similarity(
         one,
-        other,
+        (one + other) / 2,
         channel_axis=2,
         data_range=1.0,
         gaussian_weights=True,
         sigma=1.5,
+        truncate=3.5,
         use_sample_covariance=False,
+        full=True,
     )
-    assert float(ssim(one, other)) == pytest.approx(expected, abs=0.02)  # borders differ
-    assert float(ssim(one, one)) == pytest.approx(1)
+    inside = (slice(5, -5), slice(5, -5))
+    found = np.asarray(ssim(one, (one + other) / 2))
+    np.testing.assert_allclose(found[inside], np.asarray(similarity[1])[inside], atol=1e-4)
+    np.testing.assert_allclose(ssim(one, one), 1, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"strategy": "MCMC"}, {"budget": 4}, {"sh_degree": 4}, {"ssim_weight": 2}]
+)
+def test_options_out_of_range_are_errors(wrong):
+    with pytest.raises(ValueError, match="got"):
+        CaptureConfig(**wrong)
+
+
+def test_only_the_moments_of_what_changed_are_forgotten():
+    moments = random_scene(3)
+    kept = _forgotten(moments, np.array([True, False, False]), np.array([False, True, False]))
+    assert not np.any(kept.means[0])
+    np.testing.assert_array_equal(kept.means[1:], moments.means[1:])
+    assert (np.asarray(kept.logit_opacities) != 0).tolist() == [False, False, True]
+
+
+def test_noise_follows_the_axes_and_spares_opaque_gaussians():
+    scene = random_scene(20_000)
+    for leaf in (scene.log_scales, scene.quats):
+        leaf[:] = leaf[0]
+    scene.logit_opacities[:] = -9
+    scene.logit_opacities[:10] = 3
+    noise = disturbance(scene, 1e-5, np.random.default_rng(0))
+    assert not noise[:10].any()
+    axes = Rotation.from_quat(scene.quats[0], scalar_first=True).as_matrix()
+    covariance = axes.T @ np.cov(noise[10:].T) @ axes
+    expected = (
+        5e5 * 1e-5 * expit(100 * (0.005 - expit(-9))) * np.exp(2 * scene.log_scales[0])
+    ) ** 2
+    np.testing.assert_allclose(covariance, np.diag(expected), atol=0.05 * expected.max())
 
 
 def test_rates_fall_and_harmonics_start_one_degree_after_the_other():
@@ -88,8 +129,8 @@ def test_rates_fall_and_harmonics_start_one_degree_after_the_other():
         assert np.count_nonzero(rates.sh) == active
 
 
-def scene_of_four():
-    """Opaque small, opaque large, transparent, and an unused row; three more unused ones."""
+def small_scene():
+    """A small opaque, a large opaque and a transparent Gaussian, and four unused rows."""
     scene = random_scene(7)
     scene.log_scales[:] = np.log(0.001)
     scene.log_scales[1] = np.log(0.5)
@@ -98,7 +139,7 @@ def scene_of_four():
 
 
 def test_small_gaussians_are_cloned_large_ones_split_and_transparent_ones_pruned():
-    scene, before = scene_of_four(), scene_of_four()
+    scene, before = small_scene(), small_scene()
     gradient = np.array([1e-3, 2e-3, 1e-3, 0, 0, 0, 0])
     changed = adapt_density(scene, gradient, 1.0, np.random.default_rng(0))
     assert changed.tolist() == [False, True, True, True, False, False, False]

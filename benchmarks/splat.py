@@ -23,8 +23,9 @@ from gsc_jax.evidence.monitor import peak_memory_mib
 from gsc_jax.render.projection import project
 from gsc_jax.render.spherical_harmonics import colors
 from gsc_jax.render.tiles import TILE, View, bin_view, make_view
+from gsc_jax.render.walk import MAX_ALPHA, MIN_TRANSMITTANCE
 from gsc_jax.scene import Camera, Gaussians
-from gsc_jax.splat import MAX_ALPHA, MIN_TRANSMITTANCE, accumulate, composite
+from gsc_jax.splat import accumulate, composite
 
 Runs = dict[str, Callable[[], object]]
 STAGES = ("project", "bin", "composite", "accumulate", "whole view")

@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from gsc_jax.locate import Result, locate
     from gsc_jax.loop import LoopConfig
     from gsc_jax.render.orbit import orbit_cameras
-    from gsc_jax.render.tiles import make_view, reprojected
+    from gsc_jax.render.reprojection import reprojected
+    from gsc_jax.render.tiles import make_view
     from gsc_jax.scene import Camera, Gaussians, InputError
     from gsc_jax.splat import accumulate_maps as accumulate
     from gsc_jax.splat import render, render_features, render_view
@@ -81,7 +82,8 @@ _MODULES = {
     "locate": ("Result", "locate"),
     "loop": ("LoopConfig",),
     "render.orbit": ("orbit_cameras",),
-    "render.tiles": ("make_view", "reprojected"),
+    "render.reprojection": ("reprojected",),
+    "render.tiles": ("make_view",),
     "scene": ("Camera", "Gaussians", "InputError"),
     "splat": ("render", "render_features", "render_view"),
 }

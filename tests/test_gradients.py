@@ -11,8 +11,11 @@ from scipy.spatial.transform import Rotation
 from strategies import blobs, camera, random_scene, with_row
 
 import gsc_jax
-from gsc_jax.render.tiles import make_view, reprojected
-from gsc_jax.splat import MAX_ALPHA, accumulate, composite, derivatives, render_view
+from gsc_jax.render.derivatives import derivatives
+from gsc_jax.render.reprojection import reprojected
+from gsc_jax.render.tiles import make_view
+from gsc_jax.render.walk import MAX_ALPHA
+from gsc_jax.splat import accumulate, composite, render_view
 
 VIEW = camera(33, 25)
 MAPS = np.random.default_rng(0).normal(size=(25, 33, 4)).astype(np.float32)

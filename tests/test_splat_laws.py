@@ -14,7 +14,8 @@ from tolerances import ADJOINT, ROUNDING
 
 import gsc_jax
 from gsc_jax.render.tiles import make_view
-from gsc_jax.splat import CHUNK, accumulate, blend_pixel, composite
+from gsc_jax.render.walk import CHUNK, blend_pixel
+from gsc_jax.splat import accumulate, composite
 
 VIEW = camera(17, 15)
 

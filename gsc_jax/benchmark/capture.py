@@ -20,8 +20,9 @@ from gsc_jax.benchmark.densification import (
     relocate,
     reset_opacities,
 )
+from gsc_jax.render.reprojection import reprojected
 from gsc_jax.render.spherical_harmonics import Y0
-from gsc_jax.render.tiles import View, make_view, reprojected
+from gsc_jax.render.tiles import View, make_view
 from gsc_jax.scene import Array, Camera, Gaussians
 from gsc_jax.scene.neighbours import nearest_neighbours
 from gsc_jax.splat import render_view
@@ -94,7 +95,6 @@ def capture(
     cameras: Sequence[Camera],
     images: np.ndarray,
     points: Array,
-    colors: Array,
     *,
     config: CaptureConfig | None = None,
     seed: int = 0,
@@ -105,8 +105,8 @@ def capture(
     Args:
         cameras: V cameras with images of one size.
         images: Their images, RGB in [0, 1], shape (V, H, W, 3).
-        points: Points on the surfaces, such as those of structure from motion, shape (P, 3).
-        colors: Their colours in [0, 1], shape (P, 3).
+        points: Points on the surfaces, such as those of structure from motion, and their colours
+            in [0, 1]: x, y, z, red, green, blue, shape (P, 6).
         config: Training options.
         seed: Seed of the random order of views and of all random draws.
         progress: Called with a stage, the number of steps done, and of all.
@@ -115,14 +115,13 @@ def capture(
         At most `budget` Gaussians, NumPy float32, as a trainer stores them.
 
     Raises:
-        ValueError: if the numbers of cameras, images, points and colours do not fit together.
+        ValueError: if the cameras, images and points do not fit together.
     """
     config, rng = config or CaptureConfig(), np.random.default_rng(seed)
-    if not (len(cameras) == len(images) > 0) or len(points) != len(colors) or len(points) < 4:
+    if not (len(cameras) == len(images) > 0) or np.shape(points)[1:] != (6,) or len(points) < 4:
         raise ValueError(
-            f"expected an image per camera and a colour for each of at least 4 points, got "
-            f"{len(cameras)} cameras, {len(images)} images, {len(points)} points, "
-            f"{len(colors)} colours"
+            f"expected an image per camera and at least 4 points with colours, (P, 6), got "
+            f"{len(cameras)} cameras, {len(images)} images and points {np.shape(points)}"
         )
     for camera in cameras:
         if images.shape[1:] != (camera.height, camera.width, 3):
@@ -132,7 +131,7 @@ def capture(
             )
     extent, order = camera_extent(cameras), np.zeros(0, int)
     weights = config.ssim_weight, REGULARISATION if config.strategy == "mcmc" else 0.0
-    training = _started(initial_scene(points, colors, config, rng))
+    training = _started(initial_scene(np.asarray(points), config, rng))
     for step in range(config.iterations):
         if not len(order):
             order = rng.permutation(len(cameras))
@@ -158,12 +157,10 @@ def camera_extent(cameras: Sequence[Camera]) -> float:
     return 1.1 * float(np.linalg.norm(centers - centers.mean(axis=0), axis=1).max()) or 1.0
 
 
-def initial_scene(
-    points: Array, colors: Array, config: CaptureConfig, rng: np.random.Generator
-) -> Gaussians:
+def initial_scene(points: np.ndarray, config: CaptureConfig, rng: np.random.Generator) -> Gaussians:
     """Round Gaussians of opacity 0.1 on at most half of the budget of the points."""
     rows = rng.permutation(len(points))[: config.budget // 2]
-    points, colors = np.asarray(points, np.float32)[rows], np.asarray(colors)[rows]
+    points, colors = np.split(points[rows].astype(np.float32), 2, axis=1)
     near = nearest_neighbours(points, np.arange(len(points)), 3)
     spacing = np.linalg.norm(points[near] - points[:, None], axis=2).mean(axis=1)
     free = config.budget - len(points)

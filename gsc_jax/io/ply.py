@@ -296,8 +296,8 @@ def _write(
     first, whole = vertices(slice(0, 1)), copy.copy(ply)
     whole.elements = [first if element.name == "vertex" else element for element in ply.elements]
     whole.text, whole.byte_order = False, "<"
-    header = whole.header.replace("\nelement vertex 1\n", f"\nelement vertex {count}\n")
     with atomic(path) as temporary, temporary.open("wb") as file:
+        header = whole.header.replace("\nelement vertex 1\n", f"\nelement vertex {count}\n")
         file.write(f"{header}\n".encode("ascii"))
         for element in ply.elements:
             parts = map(vertices, blocks(count)) if element.name == "vertex" else [element]

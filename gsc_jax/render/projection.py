@@ -97,10 +97,8 @@ def _project_one(mean, log_scale, quat, logit, camera: Camera, near) -> Splats:
     viewmat, K = camera.viewmat, camera.K
     # Placeholders before any arithmetic: 0 times the derivative of a NaN would be NaN.
     usable = _usable(mean, log_scale, quat, logit)
-    mean, log_scale, quat, logit = (
-        [jnp.where(usable, entry, 0.0) for entry in column]
-        for column in (mean, log_scale, quat, [logit])
-    )
+    columns = mean, log_scale, quat, [logit]
+    mean, log_scale, quat, logit = ([jnp.where(usable, x, 0.0) for x in c] for c in columns)
     x, y, depth = (_dot(viewmat[i, :3], mean) + viewmat[i, 3] for i in range(3))
     in_front = depth > near
     z = jnp.where(in_front, depth, 1.0)

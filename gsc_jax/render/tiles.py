@@ -90,7 +90,7 @@ def bin_view(splats: Splats, camera: Camera, *, lockstep: int | None = None) -> 
     """Bin projected Gaussians: the second half of `make_view`."""
     if lockstep is not None and not (isinstance(lockstep, int | np.integer) and lockstep >= 1):
         raise ValueError(f"lockstep must be a whole number above 0, got {lockstep}")
-    table = _table(splats)  # asynchronous: JAX computes it while NumPy bins
+    table = splat_table(splats)  # asynchronous: JAX computes it while NumPy bins
     lists = bin_splats(_concrete(splats), camera.width, camera.height)
     tiles = len(lists.counts)
     if lockstep is None:
@@ -105,38 +105,6 @@ def bin_view(splats: Splats, camera: Camera, *, lockstep: int | None = None) -> 
         lockstep=lockstep,
         **_longest_first(lists.starts, lists.counts, lockstep),
     )
-
-
-def reprojected(view: View, gaussians: Gaussians, camera: Camera, *, near: float = NEAR) -> View:
-    """The view with new parameters of its Gaussians in unchanged lists, also under `jax.jit`.
-
-    The lists stay right as long as the parameters change little, as in a step of an optimiser.
-
-    Args:
-        view: View of N Gaussians, from `make_view`.
-        gaussians: The same Gaussians with new parameters.
-        camera: The camera of the view; its pose may have changed a little.
-        near: Near plane in world units.
-
-    Returns:
-        The view, whose `splats` can be differentiated by the Gaussians and the camera.
-
-    Raises:
-        ValueError: if the view is one of another number of Gaussians or of another image size.
-    """
-    require_view_of(view, gaussians, camera)
-    return dataclasses.replace(view, splats=_table(project(gaussians, camera, near=near)))
-
-
-def require_view_of(view: View, gaussians: Gaussians, camera: Camera) -> None:
-    """Raise ValueError if a view is not one of these Gaussians, or of another image size."""
-    found = view.splats.shape[0] - 1, view.width, view.height
-    expected = len(gaussians), camera.width, camera.height
-    if found != expected:
-        raise ValueError(
-            "expected a view of {} Gaussians with {} x {} pixels".format(*expected)
-            + ", got one of {} with {} x {}".format(*found)
-        )
 
 
 def _concrete(splats: Splats) -> Splats:
@@ -184,7 +152,8 @@ def _padded(ids: np.ndarray) -> np.ndarray:
 
 
 @jax.jit
-def _table(splats: Splats) -> jax.Array:
+def splat_table(splats: Splats) -> jax.Array:
+    """The rows of `View.splats`, shape (N + 1, 6)."""
     opaque = splats.opacities > 0
     logs = jnp.where(opaque, jnp.log(jnp.where(opaque, splats.opacities, 1.0)), -jnp.inf)
     table = [splats.means, splats.whitening, logs[:, None]]

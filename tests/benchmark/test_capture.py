@@ -35,7 +35,9 @@ from gsc_jax.render.spherical_harmonics import Y0
 ROOM = tampered_room(count=2_000, views=13, heldout=0, width=48, height=36)
 IMAGES = np.stack([gsc_jax.render(ROOM.gaussians, camera)[0] for camera in ROOM.cameras])
 POINTS = np.random.default_rng(0).choice(2_000, 500, replace=False)
-START = (ROOM.gaussians.means[POINTS], np.clip(0.5 + Y0 * ROOM.gaussians.sh[POINTS, 0], 0, 1))
+START = np.column_stack(
+    [ROOM.gaussians.means[POINTS], np.clip(0.5 + Y0 * ROOM.gaussians.sh[POINTS, 0], 0, 1)]
+)
 
 
 def heldout_psnr(scene) -> float:
@@ -48,7 +50,7 @@ def test_training_improves_a_view_that_it_never_saw(monkeypatch, strategy):
     config = CaptureConfig(iterations=120, budget=800, sh_degree=1, strategy=strategy)
     steps = []
     scene, again = (
-        capture(ROOM.cameras[:-1], IMAGES[:-1], *START, config=config, progress=progress)
+        capture(ROOM.cameras[:-1], IMAGES[:-1], START, config=config, progress=progress)
         for progress in (lambda *done: steps.append(done), lambda *_: None)
     )
     assert steps[-1] == ("capture", 120, 120)
@@ -56,18 +58,18 @@ def test_training_improves_a_view_that_it_never_saw(monkeypatch, strategy):
     assert scene.sh.shape[1:] == (4, 3)
     assert np.isfinite(scene.means).all()
     np.testing.assert_array_equal(scene.means, again.means)
-    start = initial_scene(*START, config, np.random.default_rng(0))
+    start = initial_scene(START, config, np.random.default_rng(0))
     before = heldout_psnr(start.take(np.isfinite(start.logit_opacities)))
     assert heldout_psnr(scene) > before + 2
 
 
 def test_inputs_that_do_not_fit_together_are_errors():
     with pytest.raises(ValueError, match="2 cameras, 1 images"):
-        capture(ROOM.cameras[:2], IMAGES[:1], *START)
-    with pytest.raises(ValueError, match="3 points"):
-        capture(ROOM.cameras[:1], IMAGES[:1], START[0][:3], START[1][:3])
+        capture(ROOM.cameras[:2], IMAGES[:1], START)
+    with pytest.raises(ValueError, match="4 points"):
+        capture(ROOM.cameras[:1], IMAGES[:1], START[:3])
     with pytest.raises(ValueError, match="48 x 36"):
-        capture(ROOM.cameras[:1], IMAGES[:1, ::2], *START)
+        capture(ROOM.cameras[:1], IMAGES[:1, ::2], START)
 
 
 def test_similarity_is_that_of_scikit_image():

@@ -1,0 +1,83 @@
+"""Derivatives of a composited image by the splats, in the walk of the forward pass.
+
+`composite` of gsc_jax.splat uses them as its backward pass; see section "Gradients" of the docs.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from gsc_jax.render.tiles import TILE, View
+from gsc_jax.render.walk import MAX_ALPHA, groups, pixel_centers, split_tiles, walk
+
+
+@jax.jit
+def derivatives(
+    view: View, features: jax.Array, image: jax.Array, cotangent: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Differentiate `composite` by the splats and by the features, in one walk front to back.
+
+    With g the cotangent of a pixel and rest_i = g . (what is blended behind splat i),
+
+        alpha_i dL/dalpha_i = w_i (g . c_i) - rest_i alpha_i / (1 - alpha_i),
+
+    which is 0 where alpha is clamped or dropped. The rest is a running difference, since the image
+    is known, so nothing is stored for a pixel and a splat.
+
+    Args:
+        view: The view that was composited.
+        features: Its features, shape (N, D).
+        image: Their image W c, shape (H, W, D).
+        cotangent: Derivative of a loss by the image, shape (H, W, D).
+
+    Returns:
+        Derivatives of the loss by `view.splats`, (N + 1, 6), and by the features, (N, D).
+    """
+    splats = jnp.asarray(view.splats)
+    tiled, along = split_tiles(view, cotangent), jnp.sum(cotangent * image, axis=2, keepdims=True)
+    rests, padded = split_tiles(view, along)[:, 0], jnp.pad(features, ((0, 1), (0, 0)))
+    y, x = np.divmod(np.arange(TILE * TILE, dtype=np.float32), TILE)
+    monomials = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y])
+
+    def gather(sums, group):
+        g, origin = tiled[group[0]], pixel_centers(group[0], view.grid[1])[:, 0]
+
+        def visit(carry, ids, weights, alphas):
+            sums, rest = carry
+            values = weights * jnp.sum(padded[ids][..., None] * g[:, None], axis=2)
+            behind = rest[:, None] - jnp.cumsum(values, axis=1)
+            slopes = values - behind * alphas / (1.0 - alphas)
+            slopes = jnp.where((weights > 0) & (alphas < MAX_ALPHA), slopes, 0.0)
+            moments = jnp.einsum("tcp,mp->tcm", slopes, monomials, precision="highest")
+            moments = _about(moments, splats[ids, :2] - origin[:, None])
+            weighted = jnp.einsum("tcp,tdp->tcd", weights, g, precision="highest")
+            sums = sums.at[ids].add(jnp.concatenate([moments, weighted], axis=2))
+            return sums, behind[:, -1]
+
+        return walk(view, group, visit, (sums, rests[group[0]]))[0], None
+
+    sums = jnp.zeros((view.splats.shape[0], 6 + features.shape[1]))
+    sums = jax.lax.scan(gather, sums, groups(view))[0]
+    return _by_splat(splats, sums[:, :6]), sums[:-1, 6:]
+
+
+def _about(moments: jax.Array, center: jax.Array) -> jax.Array:
+    """Moments 1, x, y, xx, xy, yy (..., 6) about a centre (..., 2) instead of the origin."""
+    m, x, y, xx, xy, yy = jnp.moveaxis(moments, -1, 0)
+    u, v = jnp.moveaxis(center, -1, 0)
+    first, second = x - u * m, y - v * m
+    squares = xx - u * (x + first), xy - u * y - v * first, yy - v * (y + second)
+    return jnp.stack([m, first, second, *squares], axis=-1)
+
+
+def _by_splat(splats: jax.Array, moments: jax.Array) -> jax.Array:
+    """Derivatives by the rows of the table, from the moments of alpha dL/dalpha, (N + 1, 6).
+
+    sigma = (a dx + b dy)^2 + (c dy)^2, and log alpha = log o - sigma.
+    """
+    _, _, a, b, c, _ = splats.T
+    m, x, y, xx, xy, yy = moments.T
+    first, second = a * x + b * y, c * y
+    by_a, by_b = a * xx + b * xy, a * xy + b * yy
+    rows = a * first, b * first + c * second, -by_a, -by_b, -c * yy, 0.5 * m
+    return 2 * jnp.stack(rows, axis=1)

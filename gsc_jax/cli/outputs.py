@@ -27,8 +27,9 @@ from gsc_jax.cli.staging import FILES, files_below
 from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.io.cameras import save_cameras
 from gsc_jax.io.files import atomic
+from gsc_jax.io.highlight import save_highlight
 from gsc_jax.io.masks import image_path, write_mask, write_probability
-from gsc_jax.io.ply import PlyScene, save_highlight, save_tampered
+from gsc_jax.io.ply import PlyScene, save_tampered
 from gsc_jax.locate import Result
 from gsc_jax.scene import Camera, Gaussians
 from gsc_jax.scene.parallel import WORKERS, bounded_map

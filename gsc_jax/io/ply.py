@@ -22,7 +22,6 @@ from gsc_jax.io.allocation import check_allocation
 from gsc_jax.io.files import atomic, existing_file
 from gsc_jax.io.layout import REST_COUNTS, decode, encode
 from gsc_jax.io.validation import brief
-from gsc_jax.render.spherical_harmonics import Y0
 from gsc_jax.scene import Array, Gaussians, InputError, invalid_rows
 from gsc_jax.scene.gaussians import usable_rows
 from gsc_jax.scene.parallel import blocks
@@ -30,7 +29,6 @@ from gsc_jax.scene.parallel import blocks
 if TYPE_CHECKING:
     from plyfile import PlyData, PlyElement
 
-TAMPERED_COLOR = np.array([1.0, 0.1, 0.1])
 LUMA = np.array([0.299, 0.587, 0.114])
 """Weights of red, green and blue in the luminance (ITU-R BT.601)."""
 MAX_HEADER_BYTES = 2**16
@@ -142,7 +140,7 @@ def save_ply(path: str | Path, gaussians: Gaussians, *, tamper: Array | None = N
     """
     host = jax.tree.map(np.asarray, gaussians)
     scores = None if tamper is None else np.asarray(tamper).reshape(len(host))
-    _save(path, host, lambda rows: host.take(rows), scores)
+    save_parts(path, host, lambda rows: host.take(rows), scores)
 
 
 def save_tampered(path: str | Path, scene: PlyScene, tamper: Array) -> None:
@@ -162,24 +160,7 @@ def save_tampered(path: str | Path, scene: PlyScene, tamper: Array) -> None:
     _write(path, scene.ply, vertices, scene.total)
 
 
-def save_highlight(path: str | Path, gaussians: Gaussians, labels: Array) -> None:
-    """Write a copy whose tampered Gaussians (labels, shape (N,) bool) are red, the others grey."""
-    host, labels = jax.tree.map(np.asarray, gaussians), np.asarray(labels, bool)
-
-    def highlighted(rows: slice) -> Gaussians:
-        part = host.take(rows)
-        luma = np.clip(0.5 + Y0 * part.sh[:, 0], 0, 1) @ LUMA
-        # Half of the luminance keeps the structure visible; no grey is as bright as white.
-        red = TAMPERED_COLOR * (0.5 + 0.5 * luma[:, None])
-        grey = np.repeat(0.2 + 0.5 * luma[:, None], 3, axis=1)
-        sh = np.zeros_like(part.sh)
-        sh[:, 0] = (np.where(labels[rows, None], red, grey) - 0.5) / Y0
-        return dataclasses.replace(part, sh=sh)
-
-    _save(path, host, highlighted)
-
-
-def _save(
+def save_parts(
     path: str | Path,
     gaussians: Gaussians,
     part: Callable[[slice], Gaussians],

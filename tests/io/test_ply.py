@@ -14,8 +14,9 @@ from ply_files import assert_same, columns_of, write_columns
 from plyfile import PlyData, PlyElement
 from strategies import random_scene
 
+from gsc_jax.io.highlight import save_highlight
 from gsc_jax.io.layout import NORMAL, ROTATION
-from gsc_jax.io.ply import load_ply, read_ply, save_highlight, save_ply, save_tampered
+from gsc_jax.io.ply import load_ply, read_ply, save_ply, save_tampered
 from gsc_jax.render.spherical_harmonics import Y0
 from gsc_jax.scene import InputError, parallel
 

@@ -6,7 +6,7 @@ not in use are transparent, so that a step is compiled once.
 """
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Literal, NamedTuple, cast, get_args
 
 import jax
@@ -20,6 +20,7 @@ from gsc_jax.benchmark.densification import (
     relocate,
     reset_opacities,
 )
+from gsc_jax.benchmark.similarity import ssim
 from gsc_jax.render.reprojection import reprojected
 from gsc_jax.render.spherical_harmonics import Y0
 from gsc_jax.render.tiles import View, make_view
@@ -27,12 +28,10 @@ from gsc_jax.scene import Array, Camera, Gaussians
 from gsc_jax.scene.neighbours import nearest_neighbours
 from gsc_jax.splat import render_view
 
-SSIM_SIGMA, SSIM_REACH = 1.5, 5
-"""Window of the SSIM in pixels: standard deviation, and reach to each side."""
-C1, C2 = 0.01**2, 0.03**2
-"""Constants of the SSIM for values in [0, 1]."""
-INTERVAL, FIRST, LAST = 100, 0.1, 0.6
-"""Steps between densifications, and shares of the steps between which there are any."""
+INTERVAL = 100
+"""Steps between two densifications, as in the code of 3DGS."""
+DENSIFIED = (0.1, 0.6)
+"""Shares of the steps between which Gaussians are added; in the code of 3DGS, 0.02 to 0.5."""
 RESETS = (0.25, 0.45)
 """Shares of the steps at which adaptive density control resets opacities."""
 REGULARISATION = 0.01
@@ -117,7 +116,29 @@ def capture(
     Raises:
         ValueError: if the cameras, images and points do not fit together.
     """
+    _require_images(cameras, images, points)
     config, rng = config or CaptureConfig(), np.random.default_rng(seed)
+    extent, order = camera_extent(cameras), _passes(len(cameras), rng)
+    weights = config.ssim_weight, REGULARISATION if config.strategy == "mcmc" else 0.0
+    training = _started(initial_scene(np.asarray(points), config, rng))
+    for step, index in zip(range(config.iterations), order, strict=False):
+        camera = dataclasses.replace(cameras[index], name="")  # static: one compilation for all
+        view = make_view(training.scene, camera)
+        rates = learning_rates(step / config.iterations, extent, config)
+        training = _stepped(training, view, camera, images[index], rates, weights)
+        if config.strategy == "mcmc":
+            scene = training.scene
+            moved = scene.means + disturbance(scene, float(rates.means), rng)
+            training = training._replace(scene=dataclasses.replace(scene, means=moved))
+        done = (step + 1) / config.iterations
+        if (step + 1) % INTERVAL == 0 and DENSIFIED[0] <= done <= DENSIFIED[1]:
+            training = _densified(training, done, extent, config, rng)
+        progress("capture", step + 1, config.iterations)
+    host = jax.tree.map(np.asarray, training.scene)
+    return host.take(np.flatnonzero(np.isfinite(host.logit_opacities)))
+
+
+def _require_images(cameras: Sequence[Camera], images: np.ndarray, points: Array) -> None:
     if not (len(cameras) == len(images) > 0) or np.shape(points)[1:] != (6,) or len(points) < 4:
         raise ValueError(
             f"expected an image per camera and at least 4 points with colours, (P, 6), got "
@@ -129,26 +150,12 @@ def capture(
                 f"expected images of the size of their cameras, {camera.width} x {camera.height}, "
                 f"in RGB, got images of shape {images.shape[1:]}"
             )
-    extent, order = camera_extent(cameras), np.zeros(0, int)
-    weights = config.ssim_weight, REGULARISATION if config.strategy == "mcmc" else 0.0
-    training = _started(initial_scene(np.asarray(points), config, rng))
-    for step in range(config.iterations):
-        if not len(order):
-            order = rng.permutation(len(cameras))
-        index, order = order[0], order[1:]
-        camera = dataclasses.replace(cameras[index], name="")  # static: one compilation for all
-        view = make_view(training.scene, camera)
-        rates = learning_rates(step / config.iterations, extent, config)
-        training = _stepped(training, view, camera, images[index], rates, weights)
-        if config.strategy == "mcmc":
-            noise = disturbance(training.scene, float(rates.means), rng)
-            training = training._replace(scene=_shifted(training.scene, noise))
-        done = (step + 1) / config.iterations
-        if (step + 1) % INTERVAL == 0 and FIRST <= done <= LAST:
-            training = _densified(training, done, extent, config, rng)
-        progress("capture", step + 1, config.iterations)
-    host = jax.tree.map(np.asarray, training.scene)
-    return host.take(np.flatnonzero(np.isfinite(host.logit_opacities)))
+
+
+def _passes(count: int, rng: np.random.Generator) -> Iterator[int]:
+    """Indices of views, without end: each pass has all of them, in an order of its own."""
+    while True:
+        yield from rng.permutation(count)
 
 
 def camera_extent(cameras: Sequence[Camera]) -> float:
@@ -179,7 +186,7 @@ def initial_scene(points: np.ndarray, config: CaptureConfig, rng: np.random.Gene
 
 
 def learning_rates(done: float, extent: float, config: CaptureConfig) -> Gaussians:
-    """Rates of all parameters, after this share of the steps."""
+    """Learning rate of each parameter once a share `done` of the steps has been made."""
     bands = np.repeat(np.arange(config.sh_degree + 1), 2 * np.arange(config.sh_degree + 1) + 1)
     sh = np.where(bands <= 10 * done, 2.5e-3 / np.where(bands, 20, 1), 0)
     return Gaussians(
@@ -257,38 +264,8 @@ def _densified(
 
 
 def _forgotten(moments: Gaussians, changed: np.ndarray, lowered: np.ndarray) -> Gaussians:
-    """Moments with 0 for changed rows (N,), and for the opacities that were lowered (N,)."""
+    """Moments of Adam, with 0 for the rows `changed` and the opacities `lowered`, (N,) bool."""
     kept = jnp.asarray(~changed, jnp.float32)
     moments = jax.tree.map(lambda leaf: leaf * kept.reshape(-1, *[1] * (leaf.ndim - 1)), moments)
     logits = moments.logit_opacities * jnp.asarray(~lowered, jnp.float32)
     return dataclasses.replace(moments, logit_opacities=logits)
-
-
-def _shifted(scene: Gaussians, shift: np.ndarray) -> Gaussians:
-    return dataclasses.replace(scene, means=scene.means + shift)
-
-
-def ssim(one: jax.Array, other: jax.Array) -> jax.Array:
-    """Structural similarity of two images in [0, 1] per pixel, (H, W, 3) (Wang et al. 2004)."""
-    height, width, _ = one.shape
-    maps = jnp.concatenate([one, other, one * one, other * other, one * other], axis=2)
-    rows, columns = _window(height), _window(width)
-    smooth = jnp.einsum("hi,ijc,wj->hwc", rows, maps, columns)
-    mean, mean2, square, square2, product = jnp.split(smooth, 5, axis=2)
-    variances = square - mean**2 + square2 - mean2**2
-    luminance = (2 * mean * mean2 + C1) / (mean**2 + mean2**2 + C1)
-    structure = (2 * (product - mean * mean2) + C2) / (variances + C2)
-    return luminance * structure
-
-
-def _window(size: int) -> np.ndarray:
-    """The Gaussian window as a matrix (size, size); zero outside of the image."""
-    offset = np.arange(size)[:, None] - np.arange(size)
-    weights = np.exp(-0.5 * (offset / SSIM_SIGMA) ** 2) * (np.abs(offset) <= SSIM_REACH)
-    reach = np.arange(-SSIM_REACH, SSIM_REACH + 1)
-    return (weights / np.exp(-0.5 * (reach / SSIM_SIGMA) ** 2).sum()).astype(np.float32)
-
-
-def psnr(one: Array, other: Array) -> float:
-    """Peak signal-to-noise ratio of images in [0, 1], in dB."""
-    return float(-10 * np.log10(np.mean(np.square(np.subtract(one, other))) + 1e-12))

@@ -16,17 +16,26 @@ from scipy.spatial.transform import Rotation
 from scipy.special import comb, expit, logit
 
 from gsc_jax.scene import Array, Gaussians
+from gsc_jax.scene.gaussians import IDENTITY_QUATERNION
 
-RESET_OPACITY, MIN_OPACITY = 0.01, 0.005
-"""Opacity after a reset, and that below which a Gaussian counts as transparent."""
+RESET_OPACITY = 0.01
+"""Largest opacity after a reset, as in the code of 3DGS."""
+MIN_OPACITY = 0.005
+"""Opacity below which a Gaussian counts as transparent, as in the code of both papers."""
 MIN_GRADIENT = 2e-4
 """Mean length of the gradient by the centre, in normalised device coordinates, to densify."""
-SMALL, SHRINK = 0.01, 1.6
-"""Scale in units of the extent up to which a Gaussian is cloned; divisor of scales in a split."""
-GROWTH, MAX_COPIES = 0.05, 51
-"""Growth of MCMC at a time; largest number of copies in eq. 9, as in its code."""
-NOISE, NOISY_OPACITY = 5e5, 0.1
-"""Noise of MCMC in units of the learning rate of the centres; opacity above which it vanishes."""
+CLONED_SCALE = 0.01
+"""Largest scale of a Gaussian that is cloned and not split, in units of the extent (3DGS)."""
+SHRINK = 1.6
+"""Divisor of the scales in a split (3DGS, section 5.2)."""
+GROWTH = 0.05
+"""Share of Gaussians that MCMC adds at a time."""
+MAX_COPIES = 51
+"""Largest number of copies in eq. 9 of MCMC, as in its code."""
+NOISE = 5e5
+"""Size of the noise of MCMC in units of the learning rate of the centres, as in its code."""
+NOISY_OPACITY = 0.1
+"""Opacity above which the noise of MCMC is below 1e-4 of its size and left out."""
 
 
 def adapt_density(
@@ -45,7 +54,7 @@ def adapt_density(
     chosen = chosen[: min(int(wanted.sum()), len(free))]
     new = free[: len(chosen)]
     copy_rows(scene, chosen, new)
-    split = scales[chosen] > SMALL * extent
+    split = scales[chosen] > CLONED_SCALE * extent
     both = np.concatenate([chosen[split], new[split]])
     local = np.exp(scene.log_scales[both]) * rng.normal(size=(len(both), 3))
     scene.means[both] += _rotated(scene.quats[both], local)
@@ -90,7 +99,7 @@ def shared_opacity(opacity: np.ndarray, copies: np.ndarray) -> tuple[np.ndarray,
 
 
 def copy_rows(scene: Gaussians, sources: np.ndarray, targets: np.ndarray) -> None:
-    """Copy all parameters of rows to other rows, in place."""
+    """Give the rows `targets` all parameters of the rows `sources`, in place."""
     for leaf in jax.tree.leaves(scene):
         leaf[targets] = leaf[sources]
 
@@ -118,7 +127,8 @@ def _rotated(quats: Array, vectors: np.ndarray) -> np.ndarray:
     """Vectors (N, 3), given along the axes of Gaussians, in the world."""
     if not len(vectors):
         return vectors
-    return Rotation.from_quat(np.asarray(quats), scalar_first=True).apply(vectors)
+    quats = np.where(np.any(quats, axis=1, keepdims=True), quats, IDENTITY_QUATERNION)
+    return Rotation.from_quat(quats, scalar_first=True).apply(vectors)
 
 
 def _marked(count: int, rows: np.ndarray) -> np.ndarray:

@@ -116,7 +116,7 @@ def _with_surroundings(own: np.ndarray, around: Neighbourhoods) -> ArrayStore:
 
 
 def _statistics(values: np.ndarray, around: Neighbourhoods) -> Iterator[np.ndarray]:
-    """Values (N, D) and their statistics, in the order of `SURROUNDINGS`, one in memory at once."""
+    """Yield the values (N, D), then their statistics in the order of `SURROUNDINGS`."""
     yield values
     first = around.mean @ values
     yield first

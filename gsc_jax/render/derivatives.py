@@ -1,6 +1,6 @@
 """Derivatives of a composited image by the splats, in the walk of the forward pass.
 
-`composite` of gsc_jax.splat uses them as its backward pass; see section "Gradients" of the docs.
+`composite` of gsc_jax.splat uses them as its backward pass; docs/gradients.md tells how to use it.
 """
 
 import jax
@@ -71,7 +71,7 @@ def _about(moments: jax.Array, center: jax.Array) -> jax.Array:
 
 
 def _by_splat(splats: jax.Array, moments: jax.Array) -> jax.Array:
-    """Derivatives by the rows of the table, from the moments of alpha dL/dalpha, (N + 1, 6).
+    """Derivatives of the loss by `View.splats`, given the moments of alpha dL/dalpha, (N + 1, 6).
 
     sigma = (a dx + b dy)^2 + (c dy)^2, and log alpha = log o - sigma.
     """

@@ -177,7 +177,7 @@ def bin_splats(splats: Splats, width: int, height: int) -> TileLists:
     """List the splats of each tile of an image, in depth order, tiles in row-major order."""
     columns, rows = -(-width // TILE), -(-height // TILE)
     ellipses = _ellipses(splats)  # asynchronous: JAX computes them while NumPy sorts
-    order = _front_to_back(np.asarray(splats.depths), np.asarray(splats.visible))
+    order = _front_to_back(np.asarray(splats.depths, np.float32), np.asarray(splats.visible))
     ellipses = jax.tree.map(lambda column: np.asarray(column).take(order), ellipses)
     first, heights = _tile_range(ellipses.y - ellipses.bottom, ellipses.y + ellipses.bottom, rows)
     row, owner = _expanded(first, heights), np.repeat(np.arange(len(order)), heights)

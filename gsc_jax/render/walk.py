@@ -43,8 +43,7 @@ def blend_pixel(transmittance: jax.Array, alphas: jax.Array) -> tuple[jax.Array,
     return jnp.where(stays, transmittance * (before - through), 0.0), transmittance * through[-1]
 
 
-# XLA vectorises over the last axis on a CPU, which therefore has to be that of the pixels:
-# (tiles, splats, pixels).
+# The axes are (tiles, splats, pixels): on a CPU, XLA vectorises over the last one, the longest.
 _alphas = jax.vmap(jax.vmap(jax.vmap(alpha_at, (None, 0)), (0, None)))
 _blend = jax.vmap(jax.vmap(blend_pixel, (0, 1), (1, 0)))
 

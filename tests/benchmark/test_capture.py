@@ -17,8 +17,6 @@ from gsc_jax.benchmark.capture import (
     capture,
     initial_scene,
     learning_rates,
-    psnr,
-    ssim,
 )
 from gsc_jax.benchmark.densification import (
     MIN_OPACITY,
@@ -30,6 +28,7 @@ from gsc_jax.benchmark.densification import (
     shared_opacity,
 )
 from gsc_jax.benchmark.scenes import tampered_room
+from gsc_jax.benchmark.similarity import psnr, ssim
 from gsc_jax.render.spherical_harmonics import Y0
 
 ROOM = tampered_room(count=2_000, views=13, heldout=0, width=48, height=36)
@@ -121,6 +120,15 @@ def test_noise_follows_the_axes_and_spares_opaque_gaussians():
         5e5 * 1e-5 * expit(100 * (0.005 - expit(-9))) * np.exp(2 * scene.log_scales[0])
     ) ** 2
     np.testing.assert_allclose(covariance, np.diag(expected), atol=0.05 * expected.max())
+
+
+def test_a_zero_quaternion_counts_as_no_rotation():
+    scene = random_scene(100)
+    scene.quats[:] = 0
+    scene.logit_opacities[:] = -9
+    noise = disturbance(scene, 1e-5, np.random.default_rng(0))
+    scene.quats[:] = [1, 0, 0, 0]
+    np.testing.assert_array_equal(noise, disturbance(scene, 1e-5, np.random.default_rng(0)))
 
 
 def test_rates_fall_and_harmonics_start_one_degree_after_the_other():

@@ -20,15 +20,18 @@ import plain
 import tyro
 
 from gsc_jax.evidence.monitor import peak_memory_mib
+from gsc_jax.render.derivatives import derivatives
 from gsc_jax.render.projection import project
 from gsc_jax.render.spherical_harmonics import colors
-from gsc_jax.render.tiles import TILE, View, bin_view, make_view
+from gsc_jax.render.tiles import TILE, View, bin_view, make_view, splat_table
 from gsc_jax.render.walk import MAX_ALPHA, MIN_TRANSMITTANCE
 from gsc_jax.scene import Camera, Gaussians
 from gsc_jax.splat import accumulate, composite
 
 Runs = dict[str, Callable[[], object]]
 STAGES = ("project", "bin", "composite", "accumulate", "whole view")
+BACKWARD = {"composite backward": "composite", "project backward": "project"}
+"""Backward passes, and the forward passes that they are compared with."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,15 +63,13 @@ def main(options: Options) -> None:
 
 def measure(gaussians: Gaussians, camera: Camera, blend: limit.Blend | None, repeats: int) -> dict:
     """Seconds of all stages of one view, and its numbers of pairs."""
-    rgba = np.pad(colors(gaussians.sh, gaussians.means, camera.center), ((0, 0), (0, 1)))
-    rgba = jax.device_put(rgba)
-    shape = (camera.height, camera.width, 2)
-    maps = jax.device_put(np.random.default_rng(0).random(shape, np.float32))
+    rgba, maps = features_and_maps(gaussians, camera)
     compile_time = common.seconds(lambda: accumulate(make_view(gaussians, camera), maps))
     view = make_view(gaussians, camera)
     plain_view = plain.bin_splats(plain.project(gaussians, camera), camera)
     pairs = same_pixels(view, plain_view, rgba, blend)
     runs = stages(gaussians, camera, rgba, maps) | plain_stages(gaussians, camera, rgba, maps)
+    runs |= backward_stages(gaussians, camera, rgba)
     if blend is not None:
         runs["C composite, 1 core"] = lambda: blend(view, rgba)
         runs["C composite, all cores"] = lambda: blend(view, rgba, threads=os.cpu_count() or 1)
@@ -82,6 +83,13 @@ def measure(gaussians: Gaussians, camera: Camera, blend: limit.Blend | None, rep
         **common.medians(runs, repeats),
         "peak_mib": peak_memory_mib(),
     }
+
+
+def features_and_maps(gaussians: Gaussians, camera: Camera) -> tuple[jax.Array, jax.Array]:
+    """Colours with an empty column (N, 4), and two random maps (H, W, 2)."""
+    rgba = np.pad(colors(gaussians.sh, gaussians.means, camera.center), ((0, 0), (0, 1)))
+    maps = np.random.default_rng(0).random((camera.height, camera.width, 2), np.float32)
+    return jax.device_put(rgba), jax.device_put(maps)
 
 
 def same_pixels(
@@ -112,6 +120,19 @@ def stages(gaussians: Gaussians, camera: Camera, rgba: jax.Array, maps: jax.Arra
         "composite": lambda: composite(view, rgba),
         "accumulate": lambda: accumulate(view, maps),
         "whole view": lambda: accumulate(make_view(gaussians, camera), maps),
+    }
+
+
+def backward_stages(gaussians: Gaussians, camera: Camera, rgba: jax.Array) -> Runs:
+    """Colours, and what a gradient by all parameters takes beside the forward pass."""
+    view = make_view(gaussians, camera)
+    image = composite(view, rgba)
+    splats, pullback = jax.vjp(lambda scene: splat_table(project(scene, camera)), gaussians)
+    pullback = jax.jit(pullback)
+    return {
+        "colours": lambda: colors(gaussians.sh, gaussians.means, camera.center),
+        "composite backward": lambda: derivatives(view, rgba, image, image),
+        "project backward": lambda: pullback(splats),
     }
 
 
@@ -174,6 +195,10 @@ def described(row: dict) -> str:
     for stage in STAGES:
         a, b = row[stage], row[f"plain {stage}"]
         lines.append(f"{stage:12}{1e3 * a:>7.1f} ms{1e3 * b:>7.1f} ms{b / a:>7.1f}x")
+    lines.append(f"colours {1e3 * row['colours']:.1f} ms")
+    for backward, forward in BACKWARD.items():
+        ratio = row[backward] / row[forward]
+        lines.append(f"{backward} {1e3 * row[backward]:.1f} ms, {ratio:.1f} times {forward}")
     lines.append(f"NumPy composite {1e3 * row['NumPy composite']:.0f} ms")
     if "needed" in row:
         lines[1] += f", {row['evaluated']:,} until a tile stops, {row['needed']:,} contribute"

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 from forensics_cases import assert_matches, central_rows, detected, room, with_copy
+from scipy.spatial import KDTree
 
 from gsc_jax.benchmark.incorporation import transformed
 from gsc_jax.benchmark.scenes import concatenate
@@ -39,3 +40,13 @@ def test_scattered_duplicates_are_a_coincidence():
     places = np.random.default_rng(1).permutation(np.asarray(copies.means)) + np.float32(0.01)
     edited = concatenate([room(), dataclasses.replace(copies, means=places)])
     assert not detected(copy_move, edited).found
+
+
+def test_clones_of_training_stay_where_they_were_made():
+    clones, rng = room().take(PART), np.random.default_rng(0)
+    means = np.asarray(clones.means)
+    reach = KDTree(means).query(means, k=13)[0][:, -1:]
+    step = rng.normal(size=means.shape)
+    step *= 1.5 * reach / np.linalg.norm(step, axis=1, keepdims=True)
+    clones = dataclasses.replace(clones, means=(means + step).astype(np.float32))
+    assert not detected(copy_move, concatenate([room(), clones])).found

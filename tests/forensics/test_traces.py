@@ -41,8 +41,11 @@ def test_made_scenes_have_no_traces(make):
             assert not trace.score.any()
 
 
+REAL = [*(f"scenes/{name}" for name in (*SCENES, "seal", "hexbox")), "objects/plant"]
+
+
 @needs_data
-@pytest.mark.parametrize("name", [*(f"scenes/{name}" for name in SCENES), "objects/plant"])
+@pytest.mark.parametrize("name", REAL)
 def test_real_scenes_have_no_traces(name):
     gaussians = load_ply(DATA / f"{name}.ply")
     gaussians = gaussians.take(np.sort(central_rows(gaussians, 60_000)))

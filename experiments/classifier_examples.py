@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 from cases import CUT, donor_name, edit_scene
-from export import exported
 
+from gsc_jax.benchmark.export import export
 from gsc_jax.benchmark.tamper import Edit
 from gsc_jax.forensics.features import compute_features
 from gsc_jax.io.files import atomic
@@ -41,7 +41,7 @@ class Examples:
 
 def requantised(gaussians: Gaussians, seed: int) -> Gaussians:
     """The scene as an export stores it, with 8 bits for even seeds and noise for odd ones."""
-    return exported(gaussians, as_=("8 bits", "float")[seed % 2], seed=seed)
+    return export(gaussians, ("8 bits", "float")[seed % 2], seed=seed).gaussians
 
 
 def make_examples(scene: str, edit: Edit, seed: int, data: Path, keep: Path) -> Examples:

@@ -18,7 +18,6 @@ import charts
 import numpy as np
 import pandas as pd
 from cases import QUICK, Case, calibrated_mixture, detector_masks, donor_name, without_edit
-from export import exported
 from matplotlib import pyplot as plt
 from methods import ALL_METHODS, seeded
 from observations import CaseObservation, Prediction, observe_regimes
@@ -26,6 +25,7 @@ from runner import Args, heldout_masks, judge, measured, scores, start
 from scipy.special import expit
 from tables import TRUTH, Row, markdown, pivot, where, write_section
 
+from gsc_jax.benchmark.export import export as export_scene
 from gsc_jax.benchmark.metrics import auc, false_positive_area
 from gsc_jax.benchmark.simulate import REGIMES, Failures
 from gsc_jax.estimators import METHODS, Prior
@@ -77,9 +77,9 @@ def rows_of(case: Case, mixture: Failures, keep: Path) -> Iterator[Row]:
     for export in EXPORTS:
         if export == "as edited" and case.edit == "none" and case.seed > 0:
             continue  # the same scene as for seed 0
-        saved = (
-            case.gaussians if export == "as edited" else exported(case.gaussians, seed=case.seed)
-        )
+        saved = case.gaussians
+        if export != "as edited":
+            saved = export_scene(saved, export, seed=case.seed).gaussians
         own = dataclasses.replace(case, gaussians=saved)
         classifier = classifier_without(case.scene.name, keep)
         evidence = forensic_evidence(saved, classifier=classifier)

@@ -12,13 +12,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from export import exported
 from native import EXPORTS, classifier_without
 from real_scenes import HELDOUT, Args, Scene, load
 from runner import start
 from tables import markdown, write_section
 
 from gsc_jax import view_mask
+from gsc_jax.benchmark.export import export
 from gsc_jax.benchmark.metrics import auc, confusion, mean_over_tampered_views
 from gsc_jax.estimators import METHODS, Finding
 from gsc_jax.forensics.evidence import estimate_from_attributes, forensic_evidence
@@ -34,15 +34,16 @@ class RealArgs(Args):
 def findings(scene: Scene, keep: Path) -> Iterator[tuple[str, Finding]]:
     """Findings by the evidence that they are based on."""
     classifier = classifier_without(scene.name.split("-")[0], keep)
-    saved = dict(zip(EXPORTS, (scene.gaussians, exported(scene.gaussians)), strict=True))
+    eight = export(scene.gaussians, "8 bits").gaussians
+    saved = dict(zip(EXPORTS, (scene.gaussians, eight), strict=True))
     evidence = {name: forensic_evidence(own, classifier=classifier) for name, own in saved.items()}
-    for export, own in evidence.items():
+    for name, own in evidence.items():
         names = ", ".join(trace.name for trace in own.traces if trace.found) or "no trace"
-        yield f"Gaussians, no traces, {export}", estimate_from_attributes(own.without_traces)
-        yield f"Gaussians, {export} ({names})", estimate_from_attributes(own)
+        yield f"Gaussians, no traces, {name}", estimate_from_attributes(own.without_traces)
+        yield f"Gaussians, {name} ({names})", estimate_from_attributes(own)
     yield "masks", METHODS["robust"].estimate(scene.observation)
-    for export, own in evidence.items():
-        yield f"masks + Gaussians, {export}", METHODS["robust"].estimate(scene.observation, own)
+    for name, own in evidence.items():
+        yield f"masks + Gaussians, {name}", METHODS["robust"].estimate(scene.observation, own)
 
 
 def scores(scene: Scene, finding: Finding, labels: np.ndarray) -> dict[str, str]:

@@ -69,12 +69,12 @@ def read_compressed(path: Path, max_bytes: int | None = None) -> Gaussians:
     try:
         if kind == ".spz":
             _check_spz(path, max_bytes)
-            return _gaussians(gsply.read_spz(path))
+            return from_gsply(gsply.read_spz(path))
         if kind == ".sog":
             _check_sog(path, max_bytes)
-            return _gaussians(gsply.sogread(path))
+            return from_gsply(gsply.sogread(path))
         check_allocation(path, BYTES_PER_BYTE * path.stat().st_size, max_bytes)
-        return _gaussians(gsply.decompress_from_bytes(path.read_bytes()))
+        return from_gsply(gsply.decompress_from_bytes(path.read_bytes()))
     except InputError:
         raise
     except Exception as error:  # a decoder may raise anything on damaged bytes
@@ -171,7 +171,7 @@ def _check_sog_tables(meta: dict[str, Any]) -> None:
         raise ValueError("no Gaussians")
 
 
-def _gaussians(data: Any) -> Gaussians:
+def from_gsply(data: Any) -> Gaussians:
     """Gaussians of a `gsply.GSData`."""
     bands = [data.sh0[:, None]] + ([] if data.shN is None else [data.shN])
     return Gaussians(

@@ -4,10 +4,10 @@ import dataclasses
 
 import numpy as np
 import pytest
-from export import exported
 from forensics_cases import BASE, PEAK, changed, classified, evidence_of, two_groups
 
 from gsc_jax import locate
+from gsc_jax.benchmark.export import export
 from gsc_jax.benchmark.metrics import auc, truth_mask
 from gsc_jax.benchmark.scenes import tampered_room
 from gsc_jax.forensics.calibration import LEVEL_BESIDE_TRACES, SURE_PROBABILITY, UNSURE_LEVEL
@@ -20,7 +20,7 @@ from gsc_jax.forensics.evidence import (
 from gsc_jax.forensics.traces import Trace
 
 MADE = tampered_room(count=6_000, views=2, heldout=1, width=64, height=48, seed=12)
-SAVED = exported(MADE.gaussians, seed=12)
+SAVED = export(MADE.gaussians, "8 bits", seed=12).gaussians
 SOME = SAVED.take(np.arange(3_000))
 UNSURE = SURE_PROBABILITY - 0.1
 
@@ -107,6 +107,12 @@ def test_thresholds_of_scores_are_exclusive_and_that_of_the_scene_is_inclusive()
     above = np.nextafter(evidence.verdict, 1)
     (warning,) = estimate_from_attributes(evidence, min_verdict=above).warnings
     assert "no evidence" in warning
+
+
+def test_labels_in_a_probably_authentic_scene_are_a_warning():
+    finding = estimate_from_attributes(evidence_of([BASE, 0.0, PEAK], 0.4))
+    assert finding.labels.any()
+    assert ["probably authentic" in warning for warning in finding.warnings] == [True]
 
 
 def test_unsure_classifier_labels_relative_to_the_peak():

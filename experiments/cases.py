@@ -33,6 +33,8 @@ REAL, MADE = ("kitchen", "playbot", "flowers"), ("room", "garden")
 QUICK = "small room"
 """Scene of a quick run: a tenth of the work."""
 OBJECTS = ("statue", "guitar", "plant")
+UNSEEN, UNSEEN_OBJECTS = ("hexbox", "seal"), ("kettle", "skull")
+"""Real scenes and objects on which nothing was trained or tuned, but for the trace of copies."""
 CUT = "cut from "
 HELDOUT_EVERY = 4
 """Every fourth camera of a real scene is held out for the metrics."""
@@ -113,9 +115,10 @@ def _real(name: str, data: Path) -> tuple[Gaussians, list[Camera], list[Camera]]
 
 def donor_name(scene: str, seed: int) -> str:
     """Name of the object to paste: by seed a scanned, a made or a cut one."""
-    siblings = REAL if scene in REAL else MADE
-    others = [name for name in siblings if name != scene]
-    choices = [*(OBJECTS if scene in REAL else ("vase",)), f"{CUT}{others[seed % len(others)]}"]
+    siblings = next(some for some in (REAL, UNSEEN, (*MADE, QUICK)) if scene in some)
+    others = [name for name in siblings if name not in (scene, QUICK)]
+    objects = {REAL: OBJECTS, UNSEEN: UNSEEN_OBJECTS}.get(siblings, ("vase",))
+    choices = [*objects, f"{CUT}{others[seed % len(others)]}"]
     # Different scenes begin with different objects.
     return choices[(seed + sum(scene.encode())) % len(choices)]
 
@@ -123,12 +126,21 @@ def donor_name(scene: str, seed: int) -> str:
 def donor(scene: Scene, seed: int, data: Path = DATA) -> Gaussians:
     """Object to paste into a scene, upright with up = -y."""
     name = donor_name(scene.name, seed)
+    if name in UNSEEN_OBJECTS:
+        return pruned(load_ply(data / "objects" / f"{name}.ply"), len(scene.gaussians) // 4)
     if name in OBJECTS:
         return load_ply(data / "objects" / f"{name}.ply")
     if name.startswith(CUT):
         source = load_scene(name.removeprefix(CUT), data)
         return cut_object(source.gaussians, source.cameras, seed=seed)
     return make_object(seed=seed)
+
+
+def pruned(gaussians: Gaussians, count: int) -> Gaussians:
+    """The Gaussians that cover most, so that an object does not outnumber the scene."""
+    scales = np.sort(np.asarray(gaussians.log_scales), axis=1)
+    covers = np.log(np.asarray(gaussians.opacities)) + scales[:, 1:].sum(axis=1)
+    return gaussians.take(np.sort(np.argsort(-covers)[:count]))
 
 
 def make_case(name: str, edit: Edit, seed: int, data: Path = DATA) -> Case:

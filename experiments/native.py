@@ -83,12 +83,12 @@ def rows_of(case: Case, mixture: Failures, keep: Path) -> Iterator[Row]:
         own = dataclasses.replace(case, gaussians=saved)
         classifier = classifier_without(case.scene.name, keep)
         evidence = forensic_evidence(saved, classifier=classifier)
-        yield from ({**row, "export": export} for row in _alone(own, evidence))
+        yield from ({**row, "export": export} for row in rows_without_masks(own, evidence))
         failures = {**(REGIMES if export == "8 bits" else {}), "mixture": mixture}
         yield from ({**row, "export": export} for row in _with_masks(own, evidence, failures))
 
 
-def _alone(case: Case, evidence: ForensicEvidence) -> Iterator[Row]:
+def rows_without_masks(case: Case, evidence: ForensicEvidence) -> Iterator[Row]:
     """Measure the attributes without masks."""
     pasted = donor_name(case.scene.name, case.seed) if case.edit == "incorporation" else ""
     both = {WITHOUT_TRACES: evidence.without_traces, WITH_TRACES: evidence}

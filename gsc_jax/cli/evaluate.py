@@ -18,6 +18,7 @@ from gsc_jax.cli.results import Results, read_by_row, read_results
 from gsc_jax.cli.staging import EVALUATION, refuse_foreign_file
 from gsc_jax.detectors.folder import FolderDetector
 from gsc_jax.evidence.detector import fit_to_view
+from gsc_jax.io.allocation import memory_limit
 from gsc_jax.io.masks import image_path, read_probability
 from gsc_jax.scene import Camera, InputError
 
@@ -44,7 +45,8 @@ def run_evaluate(options: Evaluate) -> tuple[list[str], list[str]]:
     out = options.out or options.folder / EVALUATION
     refuse_foreign_file(out, BEGINNING)
     labels, masks = _file_and_folder(options.truth)
-    results = read_results(options.folder)
+    limit = memory_limit(options.memory)
+    results = read_results(options.folder, max_bytes=limit)
     report: dict[str, Any] = {"folder": options.folder, "truth": options.truth}
     warnings: list[str] = []
     lines: list[str] = []
@@ -52,7 +54,7 @@ def run_evaluate(options: Evaluate) -> tuple[list[str], list[str]]:
         report["gaussians"] = _by_gaussian(results, labels)
         lines += [*_gaussian_table(report["gaussians"]), ""]
     if masks is not None:
-        report["views"] = _by_view(results, masks, warnings)
+        report["views"] = _by_view(results, FolderDetector(masks, max_bytes=limit), warnings)
         lines += [*_view_table(report["views"]), ""]
     write_json(out, {**report, "warnings": warnings})
     return [*lines, f"numbers  {out}"], warnings
@@ -95,17 +97,19 @@ def _by_gaussian(results: Results, truth: Path) -> dict[str, Any]:
     }
 
 
-def _by_view(results: Results, truth: Path, warnings: list[str]) -> dict[str, Any]:
+def _by_view(results: Results, truth: FolderDetector, warnings: list[str]) -> dict[str, Any]:
     """Scores of the final masks and of the masks of the detector, and the truth's tampered shares.
 
     `found_where_judged` has the scores of the final masks on the views of the detector.
     """
-    folder, views = FolderDetector(truth), results.cameras
-    chosen = folder.select(views)
+    views = results.cameras
+    chosen = truth.select(views)
     if len(chosen) < len(views):
-        warnings.append(f"{len(views) - len(chosen)} of {len(views)} views have no mask in {truth}")
-    true = {camera.name: _true_mask(folder, camera, warnings) for camera in chosen}
-    warnings += folder.warnings
+        warnings.append(
+            f"{len(views) - len(chosen)} of {len(views)} views have no mask in {truth.path}"
+        )
+    true = {camera.name: _true_mask(truth, camera, warnings) for camera in chosen}
+    warnings += truth.warnings
     found = {camera.name: _read_mask(results, "masks", camera) for camera in chosen}
     judged = [c for c in chosen if image_path(results.folder / "detector", c.name).is_file()]
     detector = {camera.name: _read_mask(results, "detector", camera) for camera in judged}

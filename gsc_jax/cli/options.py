@@ -164,6 +164,7 @@ class View:
             printed address, which contains a random key.
         most: Maximum number of Gaussians: the tampered ones, then the largest and most opaque ones.
         no_browser: Do not open the page in a browser, only print its address.
+        memory: Memory in GiB that may be used; a file that expands to more is refused.
     """
 
     folder: Annotated[tyro.conf.Positional[Path], arg("DIR")]
@@ -172,6 +173,7 @@ class View:
     host: Annotated[str, arg("HOST")] = "localhost"
     most: Annotated[int, arg("N")] = 500_000
     no_browser: Switch = False
+    memory: Annotated[float | None, arg("GIB", "half of the machine's")] = None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -188,8 +190,10 @@ class Evaluate:
         truth: labels.npy, bool by row of the scene file; a folder with a mask per camera,
             CAMERA.png; or both, as `gsc-jax tamper` writes them.
         out: File for the scores.
+        memory: Memory in GiB that may be used; a file that expands to more is refused.
     """
 
     folder: Annotated[tyro.conf.Positional[Path], arg("DIR")]
     truth: Annotated[tuple[Path, ...], arg("labels.npy|MASKS ...")]
     out: Annotated[Path | None, arg("FILE.json", "DIR/evaluation.json")] = None
+    memory: Annotated[float | None, arg("GIB", "half of the machine's")] = None

@@ -86,16 +86,18 @@ class Results:
         return float(self.report["config"]["threshold"])
 
 
-def read_results(folder: str | Path) -> Results:
+def read_results(folder: str | Path, *, max_bytes: int | None = None) -> Results:
     """Read the results of `gsc-jax locate` from the --out of the run.
+
+    `max_bytes` is the memory that may be allocated; see `memory_limit` for the default.
 
     Raises:
         InputError: if the folder holds no results, or files of it are missing, damaged, of another
-            version or of another run.
+            version or of another run, or take more memory.
     """
     folder = Path(folder)
     report = _read_report(folder)
-    scene = read_ply(folder / "tamper.ply")
+    scene = read_ply(folder / "tamper.ply", max_bytes=max_bytes)
     tamper = read_by_row(folder / "tamper.npy", scene.total)[scene.rows]
     if not ((tamper >= 0) & (tamper <= 1)).all():
         raise InputError(f"{folder / 'tamper.npy'}: holds numbers outside [0, 1]; {AGAIN}")

@@ -25,9 +25,9 @@ def check_numbers(options: SceneOptions) -> None:
     """Refuse numbers outside their range before anything is read."""
     if options.views is not None and options.views < 1:
         raise InputError(f"--views {options.views}: expected at least one view")
-    numbers = {"scale": options.scale, "near": options.near, "memory": options.memory}
-    for flag, value in numbers.items():
-        if value is not None and not (math.isfinite(value) and value > 0):
+    memory_limit(options.memory)
+    for flag, value in {"scale": options.scale, "near": options.near}.items():
+        if not (math.isfinite(value) and value > 0):
             raise InputError(f"--{flag} {value:g}: expected a positive number")
     if options.seed < 0:
         raise InputError(f"--seed {options.seed}: expected 0 or more")

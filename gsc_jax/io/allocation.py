@@ -1,5 +1,6 @@
 """The bound on the memory of readers: each checks what a file needs before it allocates it."""
 
+import math
 import os
 from pathlib import Path
 
@@ -12,7 +13,12 @@ CGROUP_LIMIT = Path("/sys/fs/cgroup/memory.max")
 
 
 def memory_limit(gib: float | None = None) -> int:
-    """Bytes that a run may allocate: `gib` GiB, by default half of the memory of the machine."""
+    """Bytes that a run may allocate: `gib` GiB, by default half of the memory of the machine.
+
+    Raises InputError if it is not a positive number.
+    """
+    if gib is not None and not (math.isfinite(gib) and gib > 0):
+        raise InputError(f"--memory {gib:g}: expected a positive number of GiB")
     return _machine_bytes() // 2 if gib is None else int(gib * GIB)
 
 

@@ -172,6 +172,13 @@ def test_invalid_truths(case, folder, tmp_path):
     assert not (folder / "evaluation.json").exists()
 
 
+@pytest.mark.parametrize(("memory", "problem"), [("-1", "--memory -1"), ("1e-6", "of memory")])
+def test_memory_is_bounded_by_an_option(case, folder, memory, problem):
+    bound = ("--memory", memory)
+    assert problem in refused("evaluate", folder, "--truth", case / "truth.npy", *bound)
+    assert problem in refused("view", folder, "--html", folder / "page.html", *bound)
+
+
 def test_folders_without_results_and_with_masks_of_another_run(case, folder):
     assert "holds no results" in refused("evaluate", case, "--truth", case / "truth.npy")
     write_mask(image_path(folder / "masks", NAMES[0]), np.zeros((4, 4), bool))

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gsc_jax.cli.options import View
-from gsc_jax.cli.results import read_results
+from gsc_jax.cli.results import Results, read_results
 from gsc_jax.cli.staging import refuse_foreign_file
 from gsc_jax.cli.viewer.access import Access, guarded
 from gsc_jax.cli.viewer.contents import Contents, viewer_contents
@@ -17,6 +17,7 @@ from gsc_jax.cli.viewer.controls import add_viewer
 from gsc_jax.cli.viewer.page import viewer_page
 from gsc_jax.cli.viewer.scene import add_cameras, add_layers
 from gsc_jax.evidence.monitor import Monitor
+from gsc_jax.io.allocation import memory_limit
 from gsc_jax.io.files import atomic
 from gsc_jax.scene import InputError
 
@@ -55,7 +56,7 @@ def run_view(
     monitor = monitor or Monitor()
     monitor.progress("load", 0, 1)
     # The results are not kept in a variable: they are large, and serving lasts.
-    contents, notes = viewer_contents(read_results(options.folder), most=options.most)
+    contents, notes = viewer_contents(_results(options), most=options.most)
     monitor.progress("load", 1, 1)
     if options.html is not None:
         return [write_page(options.html, contents)], notes
@@ -70,6 +71,10 @@ def run_view(
         with contextlib.suppress(KeyboardInterrupt):
             (wait or threading.Event().wait)()
     return ["the server has ended"], []
+
+
+def _results(options: View) -> Results:
+    return read_results(options.folder, max_bytes=memory_limit(options.memory))
 
 
 def write_page(path: Path, contents: Contents) -> str:

@@ -55,8 +55,8 @@ class TestRunView:
     def test_results_are_released_while_serving(self, folder, monkeypatch):
         references: list[weakref.ref] = []
 
-        def read(path: Path):
-            results = read_results(path)
+        def read(path: Path, **limits):
+            results = read_results(path, **limits)
             references.extend([weakref.ref(results), weakref.ref(results.gaussians)])
             return results
 

@@ -1,0 +1,112 @@
+"""The attributes alone on sources that nothing was trained on, after every exporter.
+
+    python experiments/unseen.py [--out docs]
+
+The classifier is that of the package, which was trained on five other scenes and other objects.
+Edited scenes are exported, and authentic ones have a harmless history: an export, a crop, a motion.
+"""
+
+import dataclasses
+from collections.abc import Iterator
+
+import pandas as pd
+from cases import UNSEEN, Case, make_case, without_edit
+from native import WITH_TRACES, rows_without_masks
+from runner import Args, measured, start
+from tables import Frame, Row, markdown, pivot, where, write_section
+from tqdm import tqdm
+
+from gsc_jax.benchmark.export import EXPORTERS, export
+from gsc_jax.forensics.evidence import forensic_evidence
+from gsc_jax.scene import InputError
+
+AS_EDITED = "as edited"
+LOSSY = ("8 bits", "spz", "compressed.ply", "palettes", "splat", "level of detail")
+"""Exporters of edited scenes; the others change no number, or only which rows there are."""
+ALARM = 0.5
+"""Scene probability from which a scene is called edited."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class UnseenArgs(Args):
+    """Arguments of the experiment, by default for the unseen scenes."""
+
+    scenes: tuple[str, ...] = UNSEEN
+    seeds: int = 2
+
+
+def exported(case: Case, exporter: str) -> Case:
+    """The case after an export, with its truth; held-out views show what they showed before."""
+    if exporter == AS_EDITED:
+        return case
+    saved, rows = export(case.gaussians, exporter, seed=case.seed)
+    return dataclasses.replace(case, gaussians=saved, labels=case.labels[rows])
+
+
+def rows_of(case: Case, exporter: str) -> Iterator[Row]:
+    """Measure one case after one exporter."""
+    own = exported(case, exporter)
+    evidence = forensic_evidence(own.gaussians)
+    for row in rows_without_masks(own, evidence):
+        yield {**row, "export": exporter}
+
+
+def all_rows(args: Args) -> Iterator[Iterator[Row]]:
+    """Measure every edit after the lossy exporters, and every authentic scene after all."""
+    if not (args.data / "scenes").is_dir():
+        raise InputError(f"{args.data}: no scenes; this experiment needs the real ones")
+    for case in args.cases():
+        for exporter in (AS_EDITED, *LOSSY):
+            yield rows_of(case, exporter)
+    for scene in args.scenes:
+        case = without_edit(make_case(scene, "modification", args.first_seed, args.data))
+        for exporter in tqdm((AS_EDITED, *EXPORTERS), desc=f"authentic {scene}", disable=None):
+            yield rows_of(case, exporter)
+
+
+def report(rows: Frame) -> str:
+    """All tables."""
+    own = where(rows, method=WITH_TRACES)
+    edited, authentic = own[own.edit != "none"], where(own, edit="none")
+    tables = [
+        table
+        for metric, name in (("auc", "AUC per Gaussian"), ("f1", "F1 per held-out view"))
+        for table in (
+            f"**{name}, no 2D detector, unseen scenes and objects**, the hardest export first",
+            pivot(_hardest_first(edited, metric), "export", "edit", metric=metric, best=None),
+        )
+    ]
+    return "\n\n".join([*tables, *_probabilities(edited, authentic)])
+
+
+def _hardest_first(rows: Frame, metric: str) -> Frame:
+    order = rows.groupby("export")[metric].mean().sort_values().index
+    return pd.concat([where(rows, export=export) for export in order])
+
+
+def _probabilities(edited: Frame, authentic: Frame) -> Iterator[str]:
+    """Scene probabilities of authentic scenes by history, and how many are called edited."""
+    scenes = list(authentic.scene.unique())
+    lines = []
+    for history in authentic.export.unique():
+        values = [where(authentic, export=history, scene=scene).verdict.iloc[0] for scene in scenes]
+        lines.append([history.replace(AS_EDITED, "untouched"), *(f"{v:.2f}" for v in values)])
+    yield f"**Scene probability of authentic scenes by history**; above {ALARM} is a false alarm"
+    yield markdown(["history", *scenes], lines)
+    called = {
+        name: f"{int((some.verdict > ALARM).sum())} of {len(some)} {name} scenes"
+        for name, some in (("authentic", authentic), ("edited", edited))
+    }
+    yield f"Called edited: {called['authentic']} with their histories, and {called['edited']}."
+
+
+def main(args: UnseenArgs) -> None:
+    """Measure every case; print and write the tables."""
+    rows = measured(args, "unseen", all_rows(args))
+    text = report(rows)
+    print(text)
+    write_section(args.out / "results.md", "unseen", text)
+
+
+if __name__ == "__main__":
+    start(main, __doc__)

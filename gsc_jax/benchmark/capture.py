@@ -118,14 +118,14 @@ def capture(
     """
     _require_images(cameras, images, points)
     config, rng = config or CaptureConfig(), np.random.default_rng(seed)
-    extent, order = camera_extent(cameras), _passes(len(cameras), rng)
+    extent, order = camera_extent(cameras), passes(len(cameras), rng)
     weights = config.ssim_weight, REGULARISATION if config.strategy == "mcmc" else 0.0
-    training = _started(initial_scene(np.asarray(points), config, rng))
+    training = started(initial_scene(np.asarray(points), config, rng))
     for step, index in zip(range(config.iterations), order, strict=False):
         camera = dataclasses.replace(cameras[index], name="")  # static: one compilation for all
         view = make_view(training.scene, camera)
         rates = learning_rates(step / config.iterations, extent, config)
-        training = _stepped(training, view, camera, images[index], rates, weights)
+        training = stepped(training, view, camera, images[index], rates, weights)
         if config.strategy == "mcmc":
             scene = training.scene
             moved = scene.means + disturbance(scene, float(rates.means), rng)
@@ -152,7 +152,7 @@ def _require_images(cameras: Sequence[Camera], images: np.ndarray, points: Array
             )
 
 
-def _passes(count: int, rng: np.random.Generator) -> Iterator[int]:
+def passes(count: int, rng: np.random.Generator) -> Iterator[int]:
     """Indices of views, without end: each pass has all of them, in an order of its own."""
     while True:
         yield from rng.permutation(count)
@@ -198,14 +198,15 @@ def learning_rates(done: float, extent: float, config: CaptureConfig) -> Gaussia
     )
 
 
-def _started(scene: Gaussians) -> Training:
+def started(scene: Gaussians) -> Training:
+    """The state before the first step."""
     scene = jax.tree.map(jnp.asarray, scene)
     moments = ADAM.init(cast(Any, scene))
     return Training(scene, moments, jnp.zeros(len(scene)), jnp.zeros(len(scene)))
 
 
 @jax.jit
-def _stepped(
+def stepped(
     training: Training,
     view: View,
     camera: Camera,
@@ -260,7 +261,7 @@ def _densified(
         _forgotten(moment, changed, lowered)
         for moment in (training.moments.mu, training.moments.nu)
     )
-    return _started(scene)._replace(moments=training.moments._replace(mu=mu, nu=nu))
+    return started(scene)._replace(moments=training.moments._replace(mu=mu, nu=nu))
 
 
 def _forgotten(moments: Gaussians, changed: np.ndarray, lowered: np.ndarray) -> Gaussians:

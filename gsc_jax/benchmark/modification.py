@@ -53,11 +53,11 @@ def modify_region(
     else:
         after, change = _reshape(before, region, rng)
     # A warp that fades out leaves the border as it was: those rows stay authentic to the bit.
-    rows = np.flatnonzero(_changed_rows(before, after, region.radius))
+    rows = np.flatnonzero(changed_rows(before, after, region.radius))
     labels = np.zeros(len(gaussians), bool)
     labels[region.rows[rows]] = True
     return ProposedEdit(
-        _with_rows(gaussians, region.rows[rows], after.take(rows)),
+        with_rows(gaussians, region.rows[rows], after.take(rows)),
         labels,
         f"a region of {len(rows):,} Gaussians, {change}",
         gaussians,
@@ -104,9 +104,10 @@ def _match_axes(
     return axes, np.take_along_axis(scales, order, axis=1)
 
 
-def _changed_rows(before: Gaussians, after: Gaussians, radius: float) -> np.ndarray:
-    """Mask of the rows whose position, size, rotation or colour changed, shape (N,)."""
+def changed_rows(before: Gaussians, after: Gaussians, radius: float) -> np.ndarray:
+    """Mask of the rows of which a parameter visibly changed, shape (N,)."""
     tolerances = {"means": 1e-3 * radius, "log_scales": 1e-2, "quats": 1e-2, "sh": 1e-3}
+    tolerances["logit_opacities"] = 1e-2
     differs = [
         np.abs(np.asarray(getattr(after, name)) - getattr(before, name)) > tolerance
         for name, tolerance in tolerances.items()
@@ -199,7 +200,9 @@ def _tint(rng: np.random.Generator, strength: float) -> np.ndarray:
     return strength * tint / np.linalg.norm(tint)
 
 
-def _with_rows(gaussians: Gaussians, rows: np.ndarray, changed: Gaussians) -> Gaussians:
+def with_rows(gaussians: Gaussians, rows: np.ndarray, changed: Gaussians) -> Gaussians:
+    """Copy of a scene with other Gaussians in these rows."""
+
     def put(leaf, new):
         leaf = np.array(leaf)
         leaf[rows] = new

@@ -46,6 +46,6 @@ def test_a_warp_moves_the_middle_and_not_the_border(warp):
     assert moved[across > 0.61].max() < 1e-5
     assert moved[middle].min() > 1e-3
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(after))
-    changed = modification._changed_rows(scene, after, region.radius)
+    changed = modification.changed_rows(scene, after, region.radius)
     assert not changed[across > 0.61].any()
     assert changed[middle].all()

@@ -1,0 +1,210 @@
+"""Edits as editors make them: views are edited, and the Gaussians of a region optimised for them.
+
+GaussianEditor (Chen et al. 2024) and DGE (Chen et al. 2024) edit the images of a scene with a 2D
+program, and train the Gaussians inside of a 3D mask on them, held near to what they were. Here the
+2D program is an image filter. Laundering trains the whole scene a little more on its own renders,
+which blurs what an edit has left.
+"""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from gsc_jax.benchmark.capture import (
+    CaptureConfig,
+    camera_extent,
+    learning_rates,
+    passes,
+    started,
+    stepped,
+)
+from gsc_jax.benchmark.metrics import rendered_share
+from gsc_jax.benchmark.modification import MIN_REGION_ROWS, changed_rows, with_rows
+from gsc_jax.benchmark.regions import (
+    OBJECT_CONTRAST,
+    EditRejected,
+    ProposedEdit,
+    Visibility,
+    draw_seeds,
+    grow_region,
+)
+from gsc_jax.render.projection import NEAR
+from gsc_jax.render.tiles import make_view
+from gsc_jax.scene import Camera, Gaussians
+from gsc_jax.splat import render
+
+PROGRESS = 0.5
+"""Share of the steps of a capture after which it has the learning rates that are used here."""
+
+ImageEdit = Callable[[np.ndarray], np.ndarray]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Refinement:
+    """How Gaussians are optimised for images.
+
+    Attributes:
+        steps: Number of steps, one view each.
+        anchor: Share of the way back to its first value that each parameter takes in a step.
+        near: Near plane in world units.
+        seed: Seed of the order of the views.
+    """
+
+    steps: int = 300
+    anchor: float = 0.01
+    near: float = NEAR
+    seed: int = 0
+
+
+def refine(
+    gaussians: Gaussians,
+    cameras: Sequence[Camera],
+    images: np.ndarray,
+    *,
+    rows: np.ndarray | None = None,
+    options: Refinement | None = None,
+) -> Gaussians:
+    """Optimise Gaussians for images with the loss of a capture, without densification.
+
+    Args:
+        gaussians: N Gaussians.
+        cameras: V cameras with images of one size.
+        images: Their images, RGB in [0, 1], shape (V, H, W, 3).
+        rows: Gaussians that may change, shape (N,) bool; by default all. The others stay as they
+            are, to the bit.
+        options: Number of steps, and how near parameters are held to what they were.
+
+    Returns:
+        The Gaussians, NumPy float32.
+    """
+    options, config = options or Refinement(), CaptureConfig(sh_degree=gaussians.sh_degree)
+    first = jax.tree.map(jnp.asarray, gaussians)
+    mask = jnp.ones(len(first)) if rows is None else jnp.asarray(rows, jnp.float32)
+    rates = jax.tree.map(
+        lambda rate, leaf: rate * _per_row(mask, leaf),
+        learning_rates(PROGRESS, camera_extent(cameras), config),
+        first,
+    )
+    training, order = started(first), passes(len(cameras), np.random.default_rng(options.seed))
+    for _, index in zip(range(options.steps), order, strict=False):
+        camera = dataclasses.replace(cameras[index], name="")  # static: one compilation for all
+        view = make_view(training.scene, camera, near=options.near)
+        training = stepped(training, view, camera, images[index], rates, (config.ssim_weight, 0.0))
+        training = training._replace(scene=_drawn_back(training.scene, first, mask, options.anchor))
+    return jax.tree.map(np.asarray, training.scene)
+
+
+@jax.jit
+def _drawn_back(scene: Gaussians, first: Gaussians, mask: jax.Array, share: float) -> Gaussians:
+    return jax.tree.map(
+        lambda leaf, old: leaf + share * _per_row(mask, leaf) * (old - leaf), scene, first
+    )
+
+
+def _per_row(values: jax.Array, leaf: jax.Array) -> jax.Array:
+    """Values (N,) in the shape of a parameter (N, ...), for broadcasting."""
+    return values.reshape(-1, *[1] * (leaf.ndim - 1))
+
+
+def laundered(
+    gaussians: Gaussians, cameras: Sequence[Camera], *, options: Refinement | None = None
+) -> Gaussians:
+    """Train a whole scene a little more, on its own renders in 8 bits; see `refine`."""
+    options = options or Refinement(anchor=0.0)
+    images = np.round(255 * _renders(gaussians, cameras, options.near)).astype(np.float32) / 255
+    return refine(gaussians, cameras, images, options=options)
+
+
+def optimise_region(
+    gaussians: Gaussians, visibility: Visibility, size: float, rng: np.random.Generator
+) -> ProposedEdit:
+    """Edit the images of a random region, and optimise its Gaussians for them.
+
+    The arguments are those of `modify_region`; the views are those of the visibility.
+    """
+    seed = draw_seeds(visibility, 1, rng)[0]
+    region = grow_region(gaussians, visibility, seed, size, contrast=OBJECT_CONTRAST)
+    if len(region.rows) < MIN_REGION_ROWS:
+        raise EditRejected(f"a region of {len(region.rows)} Gaussians")
+    rows = np.zeros(len(gaussians), bool)
+    rows[region.rows] = True
+    name = str(rng.choice(list(IMAGE_EDITS)))
+    change, cameras = IMAGE_EDITS[name](rng), visibility.cameras
+    shares = [rendered_share(gaussians, camera, rows, near=visibility.near) for camera in cameras]
+    inside = np.stack(shares)[..., None]
+    images = _renders(gaussians, cameras, visibility.near)
+    edited = np.stack([change(image) for image in images])
+    after = refine(
+        gaussians,
+        cameras,
+        (images + inside * (edited - images)).astype(np.float32),
+        rows=rows,
+        options=Refinement(near=visibility.near, seed=int(rng.integers(2**31))),
+    )
+    labels = rows & changed_rows(gaussians, after, region.radius)
+    what = f"a region of {labels.sum():,} Gaussians, optimised for images that were {name}"
+    return ProposedEdit(with_rows(gaussians, labels, after.take(labels)), labels, what, gaussians)
+
+
+def _renders(gaussians: Gaussians, cameras: Sequence[Camera], near: float) -> np.ndarray:
+    """Images of a scene, shape (V, H, W, 3)."""
+    scene = jax.tree.map(jnp.asarray, gaussians)
+    return np.stack([np.asarray(render(scene, camera, near=near)[0]) for camera in cameras])
+
+
+def _recoloured(rng: np.random.Generator) -> ImageEdit:
+    from scipy.spatial.transform import Rotation
+
+    turn = Rotation.from_rotvec(rng.uniform(1.5, 4.5) * np.ones(3) / np.sqrt(3)).as_matrix()
+    shift = rng.uniform(-0.15, 0.15, 3)
+    return lambda image: np.clip(0.5 + (image - 0.5) @ turn.T + shift, 0, 1)
+
+
+def _textured(rng: np.random.Generator) -> ImageEdit:
+    """Stripes in the image, which no surface has: what a 2D program does differs between views."""
+    direction, tint = rng.normal(size=2), rng.uniform(0.1, 0.3) * rng.choice([-1, 1], 3)
+
+    def change(image: np.ndarray) -> np.ndarray:
+        height, width = image.shape[:2]
+        y, x = np.mgrid[:height, :width] / height
+        phase = 2 * np.pi * 12 * (direction[0] * x + direction[1] * y)
+        return np.clip(image + np.where(np.sin(phase) > 0, 1, -1)[..., None] * tint, 0, 1)
+
+    return change
+
+
+def _smoothed(rng: np.random.Generator) -> ImageEdit:
+    from skimage.filters import gaussian
+
+    sigma, gain = rng.uniform(2, 4), rng.uniform(0.6, 1.4)
+    return lambda image: np.clip(gain * gaussian(image, sigma, channel_axis=2), 0, 1)
+
+
+def _shifted(rng: np.random.Generator) -> ImageEdit:
+    """Wave-like displacement of the pixels."""
+    from skimage.transform import warp
+
+    size, waves, turn = rng.uniform(0.01, 0.03), rng.uniform(3, 8), rng.uniform(0, 2 * np.pi)
+
+    def change(image: np.ndarray) -> np.ndarray:
+        height = image.shape[0]
+
+        def source(places: np.ndarray) -> np.ndarray:
+            wave = np.sin(2 * np.pi * waves * places[:, ::-1] / height + turn)
+            return places + size * height * wave
+
+        return np.clip(warp(image, source, mode="edge"), 0, 1)
+
+    return change
+
+
+IMAGE_EDITS: dict[str, Callable[[np.random.Generator], ImageEdit]] = {
+    "recoloured": _recoloured,
+    "textured": _textured,
+    "smoothed": _smoothed,
+    "warped": _shifted,
+}
+"""Programs that edit an image, drawn with random settings."""

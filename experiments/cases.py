@@ -147,7 +147,7 @@ def make_case(name: str, edit: Edit, seed: int, data: Path = DATA) -> Case:
     """Edit a scene and render the truth in all views."""
     scene, edited = load_scene(name, data), edit_scene(name, edit, seed, data)
     gaussians, labels = jax.tree.map(jnp.asarray, edited.gaussians), edited.labels
-    decoy = decoy_labels(edited.gaussians, labels, seed=seed)
+    decoy = _decoy(edited.gaussians, labels, seed)
     return Case(
         scene=scene,
         edit=edit,
@@ -176,7 +176,7 @@ def edit_scene(name: str, edit: Edit, seed: int, data: Path = DATA) -> Tampered:
 
 def seen_from(case: Case, cameras: list[Camera]) -> Case:
     """The case with other cameras."""
-    decoy = decoy_labels(case.gaussians, case.labels, seed=case.seed)
+    decoy = _decoy(case.gaussians, case.labels, case.seed)
     return dataclasses.replace(
         case,
         scene=dataclasses.replace(case.scene, cameras=cameras),
@@ -197,6 +197,14 @@ def without_edit(edited: Case) -> Case:
         decoy=edited.truth,
         description="Untouched.",
     )
+
+
+def _decoy(gaussians: Gaussians, labels: np.ndarray, seed: int) -> np.ndarray:
+    """An authentic region that a detector may flag, (N,) bool; empty where there is no place."""
+    try:
+        return decoy_labels(gaussians, labels, seed=seed)
+    except ValueError:
+        return np.zeros(len(labels), bool)
 
 
 def _masks(gaussians: Gaussians, cameras: list[Camera], labels: np.ndarray) -> np.ndarray:

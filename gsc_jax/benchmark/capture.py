@@ -15,6 +15,7 @@ import numpy as np
 import optax
 
 from gsc_jax.benchmark.densification import (
+    GROWTH,
     adapt_density,
     disturbance,
     relocate,
@@ -250,7 +251,7 @@ def _densified(
     """The state after a densification; the moments of changed rows start again."""
     scene, lowered = jax.tree.map(np.array, training.scene), np.zeros(config.budget, bool)
     if config.strategy == "mcmc":
-        changed = relocate(scene, rng)
+        changed = relocate(scene, rng, _growth(scene, done, config))
     else:
         gradient = np.asarray(training.gradient / jnp.maximum(training.seen, 1))
         changed = adapt_density(scene, gradient, extent, rng)
@@ -262,6 +263,13 @@ def _densified(
         for moment in (training.moments.mu, training.moments.nu)
     )
     return started(scene)._replace(moments=training.moments._replace(mu=mu, nu=nu))
+
+
+def _growth(scene: Gaussians, done: float, config: CaptureConfig) -> int:
+    """Number of Gaussians that MCMC adds: 5 %, or more where that would not reach the budget."""
+    used = int(np.isfinite(scene.logit_opacities).sum())
+    left = int((DENSIFIED[1] - done) * config.iterations / INTERVAL + 1e-6) + 1
+    return max(int(GROWTH * used), round(used * (config.budget / used) ** (1 / left)) - used)
 
 
 def _forgotten(moments: Gaussians, changed: np.ndarray, lowered: np.ndarray) -> Gaussians:

@@ -29,7 +29,7 @@ CLONED_SCALE = 0.01
 SHRINK = 1.6
 """Divisor of the scales in a split (3DGS, section 5.2)."""
 GROWTH = 0.05
-"""Share of Gaussians that MCMC adds at a time."""
+"""Share of Gaussians that MCMC adds at a time, at least; shorter trainings add more."""
 MAX_COPIES = 51
 """Largest number of copies in eq. 9 of MCMC, as in its code."""
 NOISE = 5e5
@@ -62,14 +62,13 @@ def adapt_density(
     return _marked(len(scene), np.concatenate([new, both]))
 
 
-def relocate(scene: Gaussians, rng: np.random.Generator) -> np.ndarray:
+def relocate(scene: Gaussians, rng: np.random.Generator, added: int) -> np.ndarray:
     """Move transparent Gaussians to opaque ones and add some, in place; the changed rows, (N,)."""
     opacities = expit(scene.logit_opacities)
     used = np.isfinite(scene.logit_opacities)
     alive = opacities >= MIN_OPACITY
     unused = np.flatnonzero(~used)
-    added = unused[: int(GROWTH * used.sum())]
-    targets = np.concatenate([np.flatnonzero(used & ~alive), added])
+    targets = np.concatenate([np.flatnonzero(used & ~alive), unused[:added]])
     sources = np.flatnonzero(alive)
     if not len(sources) or not len(targets):
         return np.zeros(len(scene), bool)

@@ -38,7 +38,7 @@ def main(other: Annotated[Path, tyro.conf.Positional], width: int = 480, rounds:
         for _ in trange(rounds, desc="rounds", disable=None)
     ]
     (name, own), (other_name, _) = turns[0]
-    print(f"{other_name} in units of {name}, CPU time per view ({width}x{width * 3 // 4})")
+    print(f"{other_name} in units of {name}: CPU time of a view ({width}x{width * 3 // 4})")
     for stage in own:
         times = np.array([[seconds[stage] for _, seconds in turn] for turn in turns])
         ratio = np.median(times[:, 1] / times[:, 0])
@@ -49,7 +49,8 @@ def main(other: Annotated[Path, tyro.conf.Positional], width: int = 480, rounds:
 
 def measured_by(python: Path, width: int) -> tuple[str, dict[str, float]]:
     """Version of JAX and median CPU seconds of each stage, in a process of an interpreter."""
-    command = [python, "-c", f"import versions; versions.measure({width})"]
+    # Absolute, as the process runs in another folder, but without following the link of a venv.
+    command = [python.absolute(), "-c", f"import versions; versions.measure({width})"]
     output = subprocess.run(
         command, check=True, capture_output=True, text=True, cwd=Path(__file__).parent
     )
@@ -68,7 +69,7 @@ def measure(width: int) -> None:
         for stage, run in runs.items():
             run()
             totals.setdefault(stage, []).append(cpu_seconds(run))
-    print(json.dumps([f"JAX {jax.__version__}", {k: sum(v) for k, v in totals.items()}]))
+    print(json.dumps([f"JAX {jax.__version__}", {k: float(np.mean(v)) for k, v in totals.items()}]))
 
 
 def cpu_seconds(run: Callable[[], object]) -> float:

@@ -115,13 +115,15 @@ def capture(
         At most `budget` Gaussians, NumPy float32, as a trainer stores them.
 
     Raises:
-        ValueError: if the cameras, images and points do not fit together.
+        ValueError: if the cameras, images and points do not fit together or are out of range.
     """
-    _require_images(cameras, images, points)
+    images, points = np.asarray(images, np.float32), np.asarray(points)
+    require_images(cameras, images)
+    _require_points(points)
     config, rng = config or CaptureConfig(), np.random.default_rng(seed)
     extent, order = camera_extent(cameras), passes(len(cameras), rng)
     weights = config.ssim_weight, REGULARISATION if config.strategy == "mcmc" else 0.0
-    training = started(initial_scene(np.asarray(points), config, rng))
+    training = started(initial_scene(points, config, rng))
     for step, index in zip(range(config.iterations), order, strict=False):
         camera = dataclasses.replace(cameras[index], name="")  # static: one compilation for all
         view = make_view(training.scene, camera)
@@ -139,18 +141,29 @@ def capture(
     return host.take(np.flatnonzero(np.isfinite(host.logit_opacities)))
 
 
-def _require_images(cameras: Sequence[Camera], images: np.ndarray, points: Array) -> None:
-    if not (len(cameras) == len(images) > 0) or np.shape(points)[1:] != (6,) or len(points) < 4:
+def require_images(cameras: Sequence[Camera], images: np.ndarray) -> None:
+    """Raise ValueError if there is not an image in [0, 1] of its size for each camera."""
+    if not len(cameras) == len(images) > 0:
         raise ValueError(
-            f"expected an image per camera and at least 4 points with colours, (P, 6), got "
-            f"{len(cameras)} cameras, {len(images)} images and points {np.shape(points)}"
+            f"expected an image per camera, got {len(cameras)} cameras, {len(images)} images"
         )
     for camera in cameras:
-        if images.shape[1:] != (camera.height, camera.width, 3):
+        if np.shape(images)[1:] != (camera.height, camera.width, 3):
             raise ValueError(
                 f"expected images of the size of their cameras, {camera.width} x {camera.height}, "
-                f"in RGB, got images of shape {images.shape[1:]}"
+                f"in RGB, got images of shape {np.shape(images)[1:]}"
             )
+    if not (np.min(images) >= 0 and np.max(images) <= 1):
+        raise ValueError("expected images in [0, 1] without NaN")
+
+
+def _require_points(points: np.ndarray) -> None:
+    if np.shape(points)[1:] != (6,) or len(points) < 4:
+        raise ValueError(
+            f"expected at least 4 points with colours, (P, 6), got shape {np.shape(points)}"
+        )
+    if not (np.isfinite(points).all() and (abs(points[:, 3:] - 0.5) <= 0.5).all()):
+        raise ValueError("expected finite points with colours in [0, 1]")
 
 
 def passes(count: int, rng: np.random.Generator) -> Iterator[int]:

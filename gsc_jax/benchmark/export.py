@@ -24,6 +24,7 @@ from gsc_jax.benchmark.scenes import concatenate
 from gsc_jax.io.compressed import from_gsply
 from gsc_jax.render.spherical_harmonics import Y0
 from gsc_jax.scene import Gaussians, InputError
+from gsc_jax.scene.gaussians import usable_rows
 
 SCALE_STEP = 1 / 16
 """Step of log scales, as in spz."""
@@ -35,8 +36,10 @@ POSITION_BITS = 14
 """Positions have 2**14 steps along the longest side of the scene, its farthest percent excluded."""
 CODEBOOK, PALETTE = 256, 1024
 """Entries for single numbers, and for the harmonics above degree 0; .sog has 1024 or more."""
-CHUNKS = 6
-"""Chunks of a streamed scene."""
+LLOYD_STEPS = 10
+"""Steps of Lloyd's method, a k-means of single numbers."""
+CHUNKS, MIN_COUNT = 6, 8
+"""Chunks of a streamed scene, and Gaussians that a scene has at least."""
 
 
 class Exported(NamedTuple):
@@ -53,20 +56,27 @@ def export(gaussians: Gaussians, exporter: str, *, seed: int = 0) -> Exported:
     """Export a scene.
 
     Args:
-        gaussians: N Gaussians; those that cannot be rendered give undefined ones.
+        gaussians: N Gaussians, at least 8, all of which can be rendered.
         exporter: One of `EXPORTERS`.
         seed: Seed of all random choices.
 
     Returns:
-        M Gaussians, NumPy float32, with quaternions of unit length where the exporter stores them.
+        M Gaussians, NumPy float32.
 
     Raises:
-        ValueError: if the exporter is unknown.
+        ValueError: if the exporter is unknown, or the scene has too few Gaussians, or such that
+            cannot be rendered.
         InputError: if gsply is needed and not installed.
     """
     if exporter not in EXPORTERS:
         raise ValueError(f"exporter must be one of {', '.join(EXPORTERS)}, got {exporter!r}")
     host = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), gaussians)
+    usable = int(usable_rows(host).sum())
+    if not MIN_COUNT <= usable == len(host):
+        raise ValueError(
+            f"expected at least {MIN_COUNT} Gaussians that can all be rendered, got {len(host)}, "
+            f"of which {usable} can"
+        )
     return EXPORTERS[exporter](host, np.random.default_rng(seed))
 
 
@@ -85,7 +95,8 @@ def _selected(choose: Callable[[Gaussians, np.random.Generator], np.ndarray]) ->
 def requantised(gaussians: Gaussians, rng: np.random.Generator, *, rounded: bool) -> Gaussians:
     """Add noise of up to one quantisation step to all rows, and round them to it.
 
-    The noise hides an earlier quantisation of about the same step. Quaternions get w >= 0.
+    The noise hides an earlier quantisation of about the same step. Quaternions have w >= 0 before
+    the noise.
     """
 
     def noisy_steps(values: np.ndarray, step: float) -> np.ndarray:
@@ -116,14 +127,22 @@ def spz(gaussians: Gaussians, _: np.random.Generator) -> Gaussians:
         return from_gsply(gsply.read_spz(path))
 
 
-def compressed_ply(gaussians: Gaussians, _: np.random.Generator) -> Gaussians:
-    """Write and read a .compressed.ply: 11, 10 and 11 bits within chunks of 256 Gaussians."""
-    gsply = _gsply()
-    return from_gsply(gsply.decompress_from_bytes(gsply.compress_to_bytes(_as_gsply(gaussians))))
+def compressed_ply(gaussians: Gaussians, _: np.random.Generator) -> Exported:
+    """Write and read a .compressed.ply: 11, 10 and 11 bits within chunks of 256 Gaussians.
+
+    Chunks are cut in Morton order, as splat-transform does; gsply alone keeps the order.
+    """
+    gsply, rows = _gsply(), morton_order(np.asarray(gaussians.means))
+    data = gsply.compress_to_bytes(_as_gsply(gaussians.take(rows)))
+    return Exported(from_gsply(gsply.decompress_from_bytes(data)), rows)
 
 
 def palettes(gaussians: Gaussians, rng: np.random.Generator) -> Gaussians:
-    """Round as .sog does: positions in 16 bits of a logarithm, all else to entries of palettes."""
+    """Round as .sog does, with a smaller palette of harmonics and in the same order.
+
+    Positions have 16 bits of a logarithm, opacities and quaternions 8 bits, scales and colours come
+    from codebooks, all other harmonics of a Gaussian from a palette.
+    """
     means = np.sign(gaussians.means) * np.log1p(np.abs(gaussians.means))
     low, step = means.min(axis=0), np.maximum(np.ptp(means, axis=0), 1e-12) / (2**16 - 1)
     means = low + np.round((means - low) / step) * step
@@ -131,7 +150,9 @@ def palettes(gaussians: Gaussians, rng: np.random.Generator) -> Gaussians:
     sh[:, 0] = _codebook(sh[:, 0])
     if sh.shape[1] > 1:
         sh[:, 1:] = _palette(sh[:, 1:].reshape(len(sh), -1), rng).reshape(sh[:, 1:].shape)
-    quats = np.round(unit_quats(gaussians) * 2**0.5 * 127) / (2**0.5 * 127)
+    quats = np.asarray(gaussians.rotations)
+    largest = np.take_along_axis(quats, np.abs(quats).argmax(axis=1)[:, None], axis=1)
+    quats = np.round(quats * np.sign(largest) * 2**0.5 * 127) / (2**0.5 * 127)
     return Gaussians(
         means=(np.sign(means) * np.expm1(np.abs(means))).astype(np.float32),
         log_scales=_codebook(np.asarray(gaussians.log_scales)),
@@ -141,16 +162,21 @@ def palettes(gaussians: Gaussians, rng: np.random.Generator) -> Gaussians:
     )
 
 
-def splat(gaussians: Gaussians, rng: np.random.Generator) -> Gaussians:
-    """Round as .splat does: colour, opacity and rotation in 8 bits, no harmonics."""
-    plain = without_harmonics(gaussians, rng)
-    colors = np.round(255 * np.clip(0.5 + Y0 * np.asarray(plain.sh), 0, 1)) / 255
-    quats = np.clip(np.round(128 * unit_quats(gaussians)), -128, 127) / 128
-    return dataclasses.replace(
-        plain,
-        quats=quats.astype(np.float32),
-        logit_opacities=logits(np.round(255 * expit(gaussians.logit_opacities)) / 255),
-        sh=((colors - 0.5) / Y0).astype(np.float32),
+def splat(gaussians: Gaussians, rng: np.random.Generator) -> Exported:
+    """Round as .splat does: colour, opacity and rotation in 8 bits, no harmonics, largest first."""
+    sizes = np.asarray(gaussians.log_scales, np.float64).sum(axis=1)
+    rows = np.argsort(-np.exp(sizes) * expit(gaussians.logit_opacities), kind="stable")
+    plain = without_harmonics(gaussians.take(rows), rng)
+    colors = np.floor(255 * np.clip(0.5 + Y0 * np.asarray(plain.sh), 0, 1)) / 255
+    quats = np.clip(np.floor(128 * np.asarray(plain.rotations)), -128, 127) / 128
+    return Exported(
+        dataclasses.replace(
+            plain,
+            quats=quats.astype(np.float32),
+            logit_opacities=logits(np.floor(255 * expit(plain.logit_opacities)) / 255),
+            sh=((colors - 0.5) / Y0).astype(np.float32),
+        ),
+        rows,
     )
 
 
@@ -186,15 +212,17 @@ def _as_gsply(gaussians: Gaussians):
 
 
 def _codebook(values: np.ndarray) -> np.ndarray:
-    """Values rounded to `CODEBOOK` numbers: quantiles, after a step of Lloyd's method."""
+    """Values rounded to `CODEBOOK` numbers: quantiles, improved by Lloyd's method."""
     flat = values.ravel()
 
     def nearest(entries: np.ndarray) -> np.ndarray:
         return np.searchsorted((entries[1:] + entries[:-1]) / 2, flat)
 
     entries = np.quantile(flat, (np.arange(CODEBOOK) + 0.5) / CODEBOOK)
-    counts, sums = (np.bincount(nearest(entries), w, minlength=CODEBOOK) for w in (None, flat))
-    entries = np.where(counts > 0, sums / np.maximum(counts, 1), entries)
+    for _ in range(LLOYD_STEPS):
+        index = nearest(entries)
+        counts, sums = (np.bincount(index, weights, CODEBOOK) for weights in (None, flat))
+        entries = np.where(counts > 0, sums / np.maximum(counts, 1), entries)
     return entries[nearest(entries)].reshape(values.shape).astype(np.float32)
 
 
@@ -210,9 +238,9 @@ EXPORTERS: dict[str, Exporter] = {
     "8 bits": _same_rows(functools.partial(requantised, rounded=True)),
     "float": _same_rows(functools.partial(requantised, rounded=False)),
     "spz": _same_rows(spz),
-    "compressed.ply": _same_rows(compressed_ply),
+    "compressed.ply": compressed_ply,
     "palettes": _same_rows(palettes),
-    "splat": _same_rows(splat),
+    "splat": splat,
     "no harmonics": _same_rows(without_harmonics),
     "streamed": streamed,
     "moved": _same_rows(histories.moved),

@@ -37,15 +37,16 @@ def cropped(gaussians: Gaussians, rng: np.random.Generator) -> np.ndarray:
 
 
 def level_of_detail(gaussians: Gaussians) -> tuple[Gaussians, np.ndarray]:
-    """Merge pairs of Gaussians that are neighbours in Morton order, by their moments.
+    """Merge pairs of Gaussians that are neighbours in Morton order; the last of an odd number goes.
 
-    Returns the M merged Gaussians, and the row of the heavier one of each pair, (M,).
+    A merged Gaussian has the mean and covariance of the pair, weighted by opacity times area, and
+    the sum of these products. Returns the M merged Gaussians, and the row of the heavier one of
+    each pair, (M,).
     """
     order = morton_order(np.asarray(gaussians.means))[: len(gaussians) // 2 * 2].reshape(-1, 2)
-    opacities = expit(np.asarray(gaussians.logit_opacities, np.float64))[order]
-    volumes = np.exp(np.asarray(gaussians.log_scales, np.float64).sum(axis=1))[order]
-    weights = opacities * np.cbrt(volumes) ** 2 + 1e-30
-    weights /= weights.sum(axis=1, keepdims=True)
+    opacities = expit(np.asarray(gaussians.logit_opacities, np.float64))
+    masses = (opacities * _area(np.asarray(gaussians.log_scales)))[order] + 1e-30
+    weights = masses / masses.sum(axis=1, keepdims=True)
 
     def mean(values: np.ndarray) -> np.ndarray:
         return np.einsum("np,np...->n...", weights, values)
@@ -60,7 +61,7 @@ def level_of_detail(gaussians: Gaussians) -> tuple[Gaussians, np.ndarray]:
         means=mean(means).astype(np.float32),
         log_scales=log_scales,
         quats=quats,
-        logit_opacities=logits(opacities.max(axis=1)),
+        logit_opacities=logits(masses.sum(axis=1) / _area(log_scales)),
         sh=mean(np.asarray(gaussians.sh)[order]).astype(np.float32),
     )
     return merged, first
@@ -83,6 +84,12 @@ def unit_quats(gaussians: Gaussians) -> np.ndarray:
 def logits(opacities: np.ndarray) -> np.ndarray:
     """Logits of opacities that are at least half a step of 8 bits from 0 and 1."""
     return logit(np.clip(opacities, OPACITY_STEP / 2, 1 - OPACITY_STEP / 2)).astype(np.float32)
+
+
+def _area(log_scales: np.ndarray) -> np.ndarray:
+    """Mean of the areas of the three sections through the axes, (N,), up to a factor."""
+    scales = np.exp(np.asarray(log_scales, np.float64))
+    return (scales * np.roll(scales, 1, axis=1)).sum(axis=1)
 
 
 def _matrices(gaussians: Gaussians) -> np.ndarray:

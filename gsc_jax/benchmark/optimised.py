@@ -18,6 +18,7 @@ from gsc_jax.benchmark.capture import (
     camera_extent,
     learning_rates,
     passes,
+    require_images,
     started,
     stepped,
 )
@@ -69,6 +70,8 @@ def refine(
 ) -> Gaussians:
     """Optimise Gaussians for images with the loss of a capture, without densification.
 
+    Infinite opacities and scales stay as they are.
+
     Args:
         gaussians: N Gaussians.
         cameras: V cameras with images of one size.
@@ -79,7 +82,11 @@ def refine(
 
     Returns:
         The Gaussians, NumPy float32.
+
+    Raises:
+        ValueError: if the cameras and images do not fit together.
     """
+    require_images(cameras, images)
     options, config = options or Refinement(), CaptureConfig(sh_degree=gaussians.sh_degree)
     first = jax.tree.map(jnp.asarray, gaussians)
     mask = jnp.ones(len(first)) if rows is None else jnp.asarray(rows, jnp.float32)
@@ -99,9 +106,12 @@ def refine(
 
 @jax.jit
 def _drawn_back(scene: Gaussians, first: Gaussians, mask: jax.Array, share: float) -> Gaussians:
-    return jax.tree.map(
-        lambda leaf, old: leaf + share * _per_row(mask, leaf) * (old - leaf), scene, first
-    )
+    def drawn_back(leaf: jax.Array, old: jax.Array) -> jax.Array:
+        # Opacities and scales may be infinite, and their differences then are not numbers.
+        free = jnp.isfinite(old) & (_per_row(mask, leaf) > 0)
+        return jnp.where(free, leaf + share * (old - leaf), old)
+
+    return jax.tree.map(drawn_back, scene, first)
 
 
 def _per_row(values: jax.Array, leaf: jax.Array) -> jax.Array:

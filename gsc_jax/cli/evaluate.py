@@ -141,7 +141,7 @@ def _true_mask(folder: FolderDetector, camera: Camera, warnings: list[str]) -> n
 def _read_mask(results: Results, kind: str, camera: Camera) -> np.ndarray:
     """A mask that the run wrote."""
     path = image_path(results.folder / kind, camera.name)
-    mask = read_probability(path, zero_one=False) > 0.5
+    mask = read_probability(path, zero_one=False, max_bytes=results.max_bytes) > 0.5
     if mask.shape != (camera.height, camera.width):
         raise InputError(
             f"{path}: has {mask.shape[1]} x {mask.shape[0]} pixels, expected {camera.width} x "

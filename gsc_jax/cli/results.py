@@ -69,6 +69,7 @@ class Results:
         tamper: Scores in [0, 1], shape (N,) float32.
         labels: Tampered Gaussians, shape (N,) bool.
         cameras: The cameras of the masks, at the size of the masks.
+        max_bytes: Memory that reading a mask may take; None for the default.
     """
 
     folder: Path
@@ -79,6 +80,7 @@ class Results:
     tamper: np.ndarray
     labels: np.ndarray
     cameras: list[Camera]
+    max_bytes: int | None = None
 
     @property
     def threshold(self) -> float:
@@ -102,7 +104,9 @@ def read_results(folder: str | Path, *, max_bytes: int | None = None) -> Results
     if not ((tamper >= 0) & (tamper <= 1)).all():
         raise InputError(f"{folder / 'tamper.npy'}: holds numbers outside [0, 1]; {AGAIN}")
     labels = read_by_row(folder / "labels.npy", scene.total)[scene.rows]
-    cameras = load_cameras(existing_file(folder / "views.json", expected="the cameras of the run"))
+    cameras = load_cameras(
+        existing_file(folder / "views.json", expected="the cameras of the run"), max_bytes=max_bytes
+    )
     views = [(view["name"], view["width"], view["height"]) for view in report["per_view"]]
     for name, same in (
         ("tamper.ply", report["counts"]["gaussians"] == len(scene.rows)),
@@ -120,6 +124,7 @@ def read_results(folder: str | Path, *, max_bytes: int | None = None) -> Results
         tamper=tamper.astype(np.float32),
         labels=labels.astype(bool),
         cameras=cameras,
+        max_bytes=max_bytes,
     )
 
 

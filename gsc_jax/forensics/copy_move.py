@@ -46,10 +46,15 @@ def copy_move(gaussians: Gaussians, neighbours: np.ndarray) -> Trace:
         alike = moved_together(means, reach, appearance(gaussians), APPEARANCE_RADIUS)
         similar = moved_together(means, reach, similarity_invariants(gaussians), INVARIANT_RADIUS)
         moves = np.maximum(alike, similar)
-    score = region_scores(moves > 0, neighbours, min_share=0.6, min_outside=0.6)
-    score[_clones(score > 0.5, moves > MAX_SPREAD, neighbours)] = 0
+    score = _region_scores(moves > 0, neighbours)
+    moves[_clones(score > 0.5, moves > MAX_SPREAD, neighbours)] = 0
+    score = _region_scores(moves > 0, neighbours)
     found = "occur again elsewhere; where two whole parts are alike, either may be the copy"
     return make_trace("copy-move", score, found, "No part of the scene occurs in it again.")
+
+
+def _region_scores(marked: np.ndarray, neighbours: np.ndarray) -> np.ndarray:
+    return region_scores(marked, neighbours, min_share=0.6, min_outside=0.6)
 
 
 def moved_together(

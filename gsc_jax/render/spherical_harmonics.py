@@ -54,6 +54,8 @@ def colors(sh: jax.Array, means: jax.Array, center: jax.Array) -> jax.Array:
     may exceed 1, and are 0 where not finite.
     """
     degree = round(sh.shape[1] ** 0.5) - 1
+    if sh.shape[1] != (degree + 1) ** 2:
+        raise ValueError(f"expected 1, 4, 9 or 16 coefficients, got {sh.shape[1]}")
     # Placeholders before any arithmetic: 0 times the derivative of a NaN would be NaN.
     somewhere = jnp.all(jnp.isfinite(means), axis=1, keepdims=True)
     known = somewhere & jnp.all(jnp.isfinite(sh), axis=1)

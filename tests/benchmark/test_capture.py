@@ -69,6 +69,10 @@ def test_inputs_that_do_not_fit_together_are_errors():
         capture(ROOM.cameras[:1], IMAGES[:1], START[:3])
     with pytest.raises(ValueError, match="48 x 36"):
         capture(ROOM.cameras[:1], IMAGES[:1, ::2], START)
+    with pytest.raises(ValueError, match=r"in \[0, 1\] without NaN"):
+        capture(ROOM.cameras[:1], np.full_like(IMAGES[:1], np.nan), START)
+    with pytest.raises(ValueError, match="colours in"):
+        capture(ROOM.cameras[:1], IMAGES[:1], 255 * START)
 
 
 def test_similarity_is_that_of_scikit_image():

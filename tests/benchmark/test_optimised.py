@@ -1,5 +1,7 @@
 """Optimised edits change what they should and nothing else; laundering changes little of much."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -34,6 +36,19 @@ def test_only_the_given_rows_change_and_the_images_come_closer():
         for scene in (ROOM, after)
     )
     assert now > before + 1
+
+
+def test_infinite_opacities_stay_and_images_that_do_not_fit_are_errors():
+    logits = np.array(ROOM.logit_opacities)
+    logits[:2] = np.inf, -np.inf
+    scene = dataclasses.replace(ROOM, logit_opacities=logits)
+    after = refine(
+        scene, CAMERAS, IMAGES, rows=np.arange(len(ROOM)) > 1, options=Refinement(steps=2)
+    )
+    np.testing.assert_array_equal(after.logit_opacities[:2], logits[:2])
+    assert not np.isnan(after.logit_opacities).any()
+    with pytest.raises(ValueError, match="7 images"):
+        refine(scene, CAMERAS, IMAGES[1:])
 
 
 def test_the_anchor_holds_parameters_near_to_what_they_were():

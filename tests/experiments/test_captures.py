@@ -1,11 +1,13 @@
 """The bank of captures: varied, reproducible, and continued where it was interrupted."""
 
+import dataclasses
 import json
 
 import captures
 import numpy as np
 import pytest
 from captures import Args, make_recipe, photographed, recipes
+from cases import UNSEEN, UNSEEN_OBJECTS
 from data import DATA, needs_data
 
 from gsc_jax import load_cameras, load_ply
@@ -18,6 +20,16 @@ def small(monkeypatch):
     """Captures of a few steps on few small images."""
     for name, value in {"VIEWS": 11, "WIDTHS": (48,), "STEPS": (4, 5), "BUDGETS": (900,)}.items():
         monkeypatch.setattr(captures, name, value)
+
+
+def test_nothing_unseen_is_in_the_bank():
+    assert not set(captures.CAPTURES) & {*UNSEEN, *UNSEEN_OBJECTS}
+
+
+def test_standard_captures_differ_in_their_strategy_only():
+    one, other = recipes(Args(standard=True, sources=("room",)))
+    assert one.config.strategy != other.config.strategy
+    assert dataclasses.replace(one, config=other.config) == other
 
 
 @needs_data
@@ -38,6 +50,8 @@ def test_a_share_of_the_bank_has_every_source(tmp_path):
     assert sorted(recipe.source for recipe in some) == sorted(captures.MADE)
     with pytest.raises(InputError, match="expected some of"):
         list(recipes(Args(sources=("castle",))))
+    with pytest.raises(InputError, match="--share 2"):
+        list(recipes(Args(share=2)))
 
 
 def test_a_second_run_makes_only_what_is_missing(tmp_path, small, monkeypatch):
@@ -54,13 +68,14 @@ def test_a_second_run_makes_only_what_is_missing(tmp_path, small, monkeypatch):
 
     monkeypatch.setattr(captures, "make_capture", refused)
     captures.main(args)
-    (folder / "recipe.json").unlink()
+    facts["width"] = 64  # of other options
+    (folder / "recipe.json").write_text(json.dumps(facts))
     with pytest.raises(AssertionError, match="was there"):
         captures.main(args)
 
 
 @needs_data
-@pytest.mark.parametrize("source", ["hexbox", "plant"])
+@pytest.mark.parametrize("source", ["kitchen", "plant"])
 def test_the_cameras_of_a_capture_see_its_source(source, small):
     scene, cameras = photographed(make_recipe(source, 0), DATA)
     assert not check_views(scene, cameras)

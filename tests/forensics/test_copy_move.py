@@ -9,6 +9,7 @@ from scipy.spatial import KDTree
 from gsc_jax.benchmark.incorporation import transformed
 from gsc_jax.benchmark.scenes import concatenate
 from gsc_jax.forensics.copy_move import copy_move
+from gsc_jax.scene import Gaussians
 
 PART = central_rows(room())
 
@@ -42,11 +43,29 @@ def test_scattered_duplicates_are_a_coincidence():
     assert not detected(copy_move, edited).found
 
 
-def test_clones_of_training_stay_where_they_were_made():
-    clones, rng = room().take(PART), np.random.default_rng(0)
-    means = np.asarray(clones.means)
+def clones_of(part: Gaussians) -> Gaussians:
+    """Clones beside their originals, as training leaves them."""
+    means = np.asarray(part.means)
     reach = KDTree(means).query(means, k=13)[0][:, -1:]
-    step = rng.normal(size=means.shape)
+    step = np.random.default_rng(0).normal(size=means.shape)
     step *= 1.5 * reach / np.linalg.norm(step, axis=1, keepdims=True)
-    clones = dataclasses.replace(clones, means=(means + step).astype(np.float32))
+    return dataclasses.replace(part, means=(means + step).astype(np.float32))
+
+
+def test_clones_of_training_stay_where_they_were_made():
+    clones = clones_of(room().take(PART))
     assert not detected(copy_move, concatenate([room(), clones])).found
+
+
+def test_clones_beside_a_copied_region_are_not_marked():
+    with_both = concatenate([with_copy(room(), PART), clones_of(far_part())])
+    score = detected(copy_move, with_both).score
+    assert (score[len(room()) : len(room()) + len(PART)] > 0.5).mean() > 0.8
+    assert not score[len(room()) + len(PART) :].any()
+
+
+def far_part() -> Gaussians:
+    """A compact part of the room that is not the copied one."""
+    means = np.asarray(room().means)
+    far = means[np.argmax(np.linalg.norm(means - means[PART].mean(axis=0), axis=1))]
+    return room().take(np.argsort(np.linalg.norm(means - far, axis=1))[: len(PART)])

@@ -79,3 +79,13 @@ def test_rotated_harmonics_move_the_color_to_the_rotated_direction(motion, degre
     assert turned.dtype == jnp.float32
     after = sh.colors(turned, (directions @ R.T).astype(np.float32), origin)
     np.testing.assert_allclose(after, before, atol=5e-6)
+
+
+@pytest.mark.parametrize("count", [3, 5, 12])
+def test_another_number_of_coefficients_is_an_error(count):
+    with pytest.raises(ValueError, match=f"1, 4, 9 or 16 coefficients, got {count}"):
+        sh.colors(
+            np.zeros((2, count, 3), np.float32),
+            np.zeros((2, 3), np.float32),
+            np.zeros(3, np.float32),
+        )

@@ -33,7 +33,7 @@ COLOUR_STEP = 0.03
 QUATERNION_STEP = 1 / 128
 """Step of the entries of unit quaternions: 8 bits, signed."""
 POSITION_BITS = 14
-"""Positions have 2**14 steps along the longest side of the scene, its farthest percent excluded."""
+"""Positions have 2^14 steps along the longest side of the scene, its farthest percent excluded."""
 CODEBOOK, PALETTE = 256, 1024
 """Entries for single numbers, and for the harmonics above degree 0; .sog has 1024 or more."""
 LLOYD_STEPS = 10

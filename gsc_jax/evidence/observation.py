@@ -89,7 +89,7 @@ def observe(
     monitor, detector = monitor or Monitor(), as_detector(detector)
     names = tuple(camera.name for camera in cameras)
     store = store or ArrayStore()
-    missing = [camera for camera in cameras if not store.has(EVIDENCE, camera.name)]
+    missing = [c for c in cameras if not (store.has(EVIDENCE, c.name) and store.has(MAP, c.name))]
     _restore_diagnostics(detector, names, store)
 
     def prepare(camera: Camera) -> tuple[View, np.ndarray | None]:

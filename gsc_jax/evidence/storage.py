@@ -40,13 +40,17 @@ class ArrayStore:
         self._lock = threading.Lock()
 
     def has(self, kind: str, name: str) -> bool:
-        """Whether the store holds an array; a file that was only begun does not count."""
+        """Whether the store holds an array; a file that is incomplete or damaged does not count.
+
+        The digest at the end of a file is checked here, and not by `get`: a file may be damaged
+        between two runs, after a power failure for example.
+        """
         key = _key(kind, name)
         if key in self._in_memory:
             return True
         try:
-            return self._folder is not None and self._read(key) is not None
-        except (OSError, ValueError, EOFError):
+            return self._folder is not None and _intact(self._folder / f"{key}.npy")
+        except (OSError, ValueError):
             return False
 
     def get(self, kind: str, name: str) -> np.ndarray:
@@ -65,8 +69,10 @@ class ArrayStore:
         try:
             folder = self._open()
             partial = folder / f"{key}.part"
-            with partial.open("wb") as file:
+            with partial.open("w+b") as file:
                 np.save(file, array)
+                file.seek(0)
+                file.write(hashlib.file_digest(file, "blake2b").digest())
             partial.replace(folder / f"{key}.npy")
         except OSError as error:
             raise InputError(
@@ -93,6 +99,13 @@ class ArrayStore:
     def _read(self, key: str) -> np.ndarray:
         assert self._folder is not None, f"nothing was stored as {key}"
         return np.load(self._folder / f"{key}.npy", mmap_mode="r", allow_pickle=False)
+
+
+def _intact(path: Path) -> bool:
+    """Whether a file ends with the digest of all that is before it, which NumPy ignores."""
+    content = np.memmap(path, np.uint8, mode="r")
+    size = hashlib.blake2b().digest_size
+    return hashlib.blake2b(content[:-size]).digest() == content[-size:].tobytes()
 
 
 def _key(kind: str, name: str) -> str:

@@ -110,7 +110,8 @@ def invalid_rows(gaussians: Gaussians) -> dict[str, np.ndarray]:
         "rotation zero": (host.quats == 0).all(axis=1),
         "opacity not a number": np.isnan(host.logit_opacities),
         "colour not finite": ~np.isfinite(host.sh).all(axis=(1, 2)),
-        "position or colour out of all bounds": _out_of_bounds(host.means, axis=1)
+        "number out of all bounds": _out_of_bounds(host.means, axis=1)
+        | _out_of_bounds(host.quats, axis=1)
         | _out_of_bounds(host.sh, axis=(1, 2)),
     }
 

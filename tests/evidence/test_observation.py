@@ -115,6 +115,18 @@ def test_a_file_that_was_only_begun_does_not_count(tmp_path):
     assert not store.has(MAP, "b")
 
 
+@pytest.mark.parametrize("kind", [EVIDENCE, MAP])
+@pytest.mark.parametrize("damage", ["zeroed", "emptied"])
+def test_files_that_were_damaged_between_two_runs_are_made_again(tmp_path, kind, damage):
+    observe(CLOUD, VIEWS, Network(), store=ArrayStore(tmp_path))
+    for path in tmp_path.glob(f"{kind}-*.npy"):
+        content = path.read_bytes()
+        kept = content[:128] + bytes(len(content) - 128)
+        path.write_bytes(kept if damage == "zeroed" else b"")
+    again = observe(CLOUD, VIEWS, Network(), store=ArrayStore(tmp_path))
+    assert equal(again, observe(CLOUD, VIEWS, Network()))
+
+
 def test_views_that_were_judged_keep_their_diagnostics(tmp_path):
     detector, again = Network(), Network()
     detector.diagnostics["a"] = {"clipped": np.int64(3)}

@@ -15,13 +15,14 @@ def test_rotation_matrices_are_those_of_the_quaternions():
 
 
 def test_rows_are_usable_unless_a_parameter_is_damaged():
-    scene = random_scene(6)
+    scene = random_scene(7)
     assert usable_rows(scene).all()
     damage = [("means", 1e30), ("quats", 0), ("log_scales", 50), ("logit_opacities", np.nan)]
+    damage.append(("quats", 3e38))
     for row, (field, value) in enumerate(damage):
         scene = with_row(scene, field, value, row=row)
-    assert usable_rows(with_row(scene, "logit_opacities", np.inf, row=5)).tolist() == [
-        False, False, False, False, True, True,
+    assert usable_rows(with_row(scene, "logit_opacities", np.inf, row=6)).tolist() == [
+        False, False, False, False, False, True, True,
     ]  # fmt: skip
 
 

@@ -105,7 +105,7 @@ def _intact(path: Path) -> bool:
     """Whether a file ends with the digest of all that is before it, which NumPy ignores."""
     content = np.memmap(path, np.uint8, mode="r")
     size = hashlib.blake2b().digest_size
-    return hashlib.blake2b(content[:-size]).digest() == content[-size:].tobytes()
+    return hashlib.blake2b(content[:-size].data).digest() == content[-size:].tobytes()
 
 
 def _key(kind: str, name: str) -> str:

@@ -124,7 +124,7 @@ def laundered(
 ) -> Gaussians:
     """Train a whole scene a little more, on its own renders in 8 bits; see `refine`."""
     options = options or Refinement(anchor=0.0)
-    images = np.round(255 * _renders(gaussians, cameras, options.near)).astype(np.float32) / 255
+    images = np.round(255 * renders(gaussians, cameras, options.near)).astype(np.float32) / 255
     return refine(gaussians, cameras, images, options=options)
 
 
@@ -145,7 +145,7 @@ def optimise_region(
     change, cameras = IMAGE_EDITS[name](rng), visibility.cameras
     shares = [rendered_share(gaussians, camera, rows, near=visibility.near) for camera in cameras]
     inside = np.stack(shares)[..., None]
-    images = _renders(gaussians, cameras, visibility.near)
+    images = renders(gaussians, cameras, visibility.near)
     edited = np.stack([change(image) for image in images])
     after = refine(
         gaussians,
@@ -159,7 +159,7 @@ def optimise_region(
     return ProposedEdit(with_rows(gaussians, labels, after.take(labels)), labels, what, gaussians)
 
 
-def _renders(gaussians: Gaussians, cameras: Sequence[Camera], near: float) -> np.ndarray:
+def renders(gaussians: Gaussians, cameras: Sequence[Camera], near: float) -> np.ndarray:
     """Images of a scene, shape (V, H, W, 3)."""
     scene = jax.tree.map(jnp.asarray, gaussians)
     return np.stack([np.asarray(render(scene, camera, near=near)[0]) for camera in cameras])

@@ -15,8 +15,10 @@ from typing import Literal, get_args
 import numpy as np
 
 from gsc_jax.benchmark.incorporation import paste_object
+from gsc_jax.benchmark.inpainted import inpaint_region
 from gsc_jax.benchmark.metrics import truth_mask
 from gsc_jax.benchmark.modification import modify_region
+from gsc_jax.benchmark.optimised import optimise_region
 from gsc_jax.benchmark.regions import (
     VISIBLE_SHARE,
     EditRejected,
@@ -35,6 +37,8 @@ from gsc_jax.splat import render
 
 Edit = Literal["incorporation", "modification", "removal"]
 EDITS: tuple[Edit, ...] = get_args(Edit)
+Program = Literal["optimisation", "inpainting"]
+"""A modification or a removal as editors make it: new images, and Gaussians trained on them."""
 
 ATTEMPTS = 8
 MIN_VISIBLE_VIEWS = 0.5
@@ -67,7 +71,7 @@ class Tampered:
 def tamper(
     gaussians: Gaussians,
     cameras: Sequence[Camera],
-    edit: Edit | Gaussians,
+    edit: Edit | Program | Gaussians,
     *,
     size: float = 0.05,
     near: float = NEAR,
@@ -81,7 +85,8 @@ def tamper(
         gaussians: The authentic scene.
         cameras: Its V cameras, mostly held level: the vertical is the mean of their up vectors.
         edit: "modification", "removal", or for an incorporation the object to paste, upright with
-            up = -y.
+            up = -y; "optimisation" and "inpainting" are a modification and a removal that train
+            the region for edited views, which takes minutes for large scenes.
         size: Median share of the pixels that the edit should cover in the views that see it.
         near: Near plane in world units.
         seed: Seed of the random choices.
@@ -111,13 +116,23 @@ def tamper(
     )
 
 
-def _kind_and_maker(edit: Edit | Gaussians) -> tuple[Edit, Callable[..., ProposedEdit]]:
+MAKERS: dict[str, tuple[Edit, Callable[..., ProposedEdit]]] = {
+    "modification": ("modification", modify_region),
+    "removal": ("removal", remove_region),
+    "optimisation": ("modification", optimise_region),
+    "inpainting": ("removal", inpaint_region),
+}
+
+
+def _kind_and_maker(
+    edit: Edit | Program | Gaussians,
+) -> tuple[Edit, Callable[..., ProposedEdit]]:
     """Kind of an edit, and the function that proposes one."""
     if isinstance(edit, Gaussians):
         return "incorporation", functools.partial(paste_object, donor=edit)
-    if edit not in ("modification", "removal"):
-        raise ValueError(f"edit must be an object, 'modification' or 'removal', got {edit!r}")
-    return edit, modify_region if edit == "modification" else remove_region
+    if edit not in MAKERS:
+        raise ValueError(f"edit must be an object or one of {', '.join(MAKERS)}, got {edit!r}")
+    return MAKERS[edit]
 
 
 def _checked(

@@ -16,7 +16,7 @@ import pydantic
 from pydantic import Field, FiniteFloat
 
 from gsc_jax.io.json_cameras import FocalLength, Pixels, Vector4, construct_cameras, pinhole
-from gsc_jax.io.masks import IMAGE_FORMATS
+from gsc_jax.io.masks import open_image
 from gsc_jax.io.validation import shown
 from gsc_jax.scene import Camera, InputError
 
@@ -91,13 +91,11 @@ def _check_undistorted(item: Mapping[str, Any]) -> None:
 
 def _image_size(stem: Path) -> tuple[int, int]:
     """Width and height in pixels of an image; its suffix may be missing."""
-    from PIL import Image
-
     problem = ValueError(f"lacks 'w' and 'h', and {shown(str(stem))} is not an image; add them")
     try:
         for path in (Path(f"{stem}{suffix}") for suffix in IMAGE_SUFFIXES):
             if path.is_file():
-                with Image.open(path, formats=IMAGE_FORMATS) as image:
+                with open_image(path) as image:
                     return image.size
     except Exception as error:  # the decoders have no common base class for damaged files
         raise problem from error

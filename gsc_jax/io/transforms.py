@@ -13,9 +13,16 @@ from typing import Annotated, Any
 
 import numpy as np
 import pydantic
-from pydantic import Field, FiniteFloat
+from pydantic import Field
 
-from gsc_jax.io.json_cameras import FocalLength, Pixels, Vector4, construct_cameras, pinhole
+from gsc_jax.io.json_cameras import (
+    FocalLength,
+    Number,
+    Pixels,
+    Vector4,
+    construct_cameras,
+    pinhole,
+)
 from gsc_jax.io.masks import open_image
 from gsc_jax.io.validation import shown
 from gsc_jax.scene import Camera, InputError
@@ -27,7 +34,7 @@ PINHOLE_MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE")
 OPENGL_TO_OPENCV = np.array([1.0, -1.0, -1.0, 1.0])
 IMAGE_SUFFIXES = ("", ".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")
 
-Radians = Annotated[float, Field(gt=0, lt=np.pi)]
+Radians = Annotated[Number, Field(gt=0, lt=np.pi)]
 
 
 class _Frame(pydantic.BaseModel):
@@ -41,8 +48,8 @@ class _Frame(pydantic.BaseModel):
     fl_y: FocalLength | None = None
     camera_angle_x: Radians | None = None
     camera_angle_y: Radians | None = None
-    cx: FiniteFloat | None = None
-    cy: FiniteFloat | None = None
+    cx: Number | None = None
+    cy: Number | None = None
 
 
 def read_transforms(data: Mapping[str, Any], path: Path) -> list[Camera]:

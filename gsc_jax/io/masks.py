@@ -172,7 +172,8 @@ def open_image(path: Path) -> Iterator["PIL.Image.Image"]:
 
 def _decoded(image: "PIL.Image.Image") -> np.ndarray:
     """Pixels with palettes, inks and inverted levels decoded, and a transparent colour black."""
-    rawmode = image.tile[0].args if image.format == "PNG" and image.tile else ""
+    tiles = getattr(image, "tile", []) if image.format == "PNG" else []
+    rawmode = tiles[0].args if tiles else ""
     transparent = image.info.get("transparency")
     if image.mode not in AS_STORED:
         return np.array(image.convert("RGBA" if image.has_transparency_data else "RGB"))

@@ -45,6 +45,9 @@ WRONG: dict[str, Callable[[], object]] = {
     "scores per view": lambda: gsc_jax.view_mask(SCENE, VIEW, scored(NAN), rule="per-view"),
     "width 0": lambda: camera(0, 15),
     "height -1": lambda: camera(17, -1),
+    "width True": lambda: dataclasses.replace(VIEW, width=True),
+    "name with a lone surrogate": lambda: dataclasses.replace(VIEW, name="a\ud800"),
+    "name of bytes": lambda: dataclasses.replace(VIEW, name=b"a"),  # type: ignore
     "width 1.5": lambda: dataclasses.replace(VIEW, width=1.5),
     "probability": lambda: prior(probability=NAN),
     "verdict": lambda: prior(verdict=NAN),

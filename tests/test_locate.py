@@ -253,6 +253,12 @@ def test_progress_and_stages_are_recorded():
         ({"view_0": np.full((4, 4), 255)}, "not a probability"),
         ({"view_0": np.full((4, 4), np.nan)}, "not a probability"),
         ({"view_0": np.zeros((4, 4, 3))}, "one probability per pixel"),
+        ({"view_0": np.zeros((1, 1))}, "at least 4 x 4 pixels"),
+        ({"view_0": np.zeros((48, 32))}, "has 32 x 48 pixels, the view 48 x 32"),
+        (lambda _: np.zeros((200, 4)), "has 4 x 200 pixels, the view 48 x 32"),
+        (lambda _: "x", "is a str, expected an array"),
+        (lambda _: None, "one probability per pixel"),
+        (lambda _: [[0.5], [0.5, 0.5]], "is a list, expected an array"),
     ],
 )
 def test_unusable_masks_are_one_clear_error(masks, message):
@@ -270,7 +276,7 @@ def test_an_unknown_method_and_a_name_used_twice_are_errors():
 
 def test_a_mask_is_resized_as_a_probability_and_thresholded_once_strictly():
     view = camera(4, 2)
-    resized = fit_to_view(np.array([[0, 1]]), view)
+    resized = fit_to_view(np.array([[0, 1], [0, 1]]), view)
     assert resized.shape == (2, 4)
     assert 0 < resized[0, 1] < 0.5 < resized[0, 2] < 1, "thresholded before resizing"
     half = fit_to_view(np.full((1, 2, 4), 0.5), view)

@@ -26,6 +26,7 @@ from gsc_jax.render.reprojection import reprojected
 from gsc_jax.render.spherical_harmonics import Y0
 from gsc_jax.render.tiles import View, make_view
 from gsc_jax.scene import Array, Camera, Gaussians
+from gsc_jax.scene.errors import check_ranges
 from gsc_jax.scene.neighbours import nearest_neighbours
 from gsc_jax.splat import render_view
 
@@ -38,6 +39,14 @@ RESETS = (0.25, 0.45)
 REGULARISATION = 0.01
 """Weight of the mean opacity and of the mean scale in the loss of MCMC."""
 
+
+RANGES: dict[str, tuple[float, float]] = {
+    "iterations": (1, 10**9),
+    "budget": (8, 10**9),
+    "sh_degree": (0, 3),
+    "ssim_weight": (0.0, 1.0),
+}
+"""Smallest and largest valid value of the numbers; integers where the number is one."""
 
 Strategy = Literal["adaptive", "mcmc"]
 
@@ -70,13 +79,9 @@ class CaptureConfig:
         """Check the options."""
         if self.strategy not in get_args(Strategy):
             raise ValueError(f"strategy must be {get_args(Strategy)}, got {self.strategy!r}")
-        if self.iterations < 1 or self.budget < 8 or not 0 <= self.sh_degree <= 3:
-            raise ValueError(
-                "expected at least 1 iteration, a budget of at least 8 Gaussians and a degree of "
-                f"0 to 3, got {self.iterations}, {self.budget} and {self.sh_degree}"
-            )
-        if not 0 <= self.ssim_weight <= 1:
-            raise ValueError(f"ssim_weight must be in [0, 1], got {self.ssim_weight}")
+        check_ranges(self, RANGES)
+        if not isinstance(self.reset_opacities, bool):
+            raise ValueError(f"reset_opacities must be a bool, got {self.reset_opacities!r}")
 
 
 ADAM = optax.scale_by_adam(eps=1e-15)

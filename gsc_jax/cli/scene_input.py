@@ -18,7 +18,7 @@ from gsc_jax.scene import Camera, Gaussians, InputError
 ORBIT_VIEWS = 24
 """Number of cameras on an orbit: one every 15 degrees."""
 MIN_SIDE_PIXELS, MAX_PIXELS = 8, 50_000_000
-"""Limits of image sizes; beyond them, --scale is most likely a typing error."""
+"""Limits of image sizes; beyond them, the camera or --scale is most likely a typing error."""
 
 
 def check_numbers(options: SceneOptions) -> None:
@@ -70,8 +70,10 @@ def _read_cameras(options: SceneOptions, gaussians: Gaussians, warnings: list[st
         pixels, side = camera.width * camera.height, min(camera.width, camera.height)
         if side < MIN_SIDE_PIXELS or pixels > MAX_PIXELS:
             raise InputError(
-                f"--scale {options.scale:g}: camera {camera.name!r} would have {camera.width} x "
-                f"{camera.height} pixels; choose another scale"
+                f"{options.cameras or options.scene}: camera {camera.name!r} has {camera.width} x "
+                f"{camera.height} pixels at --scale {options.scale:g}, expected sides of at least "
+                f"{MIN_SIDE_PIXELS} and at most {MAX_PIXELS:,} pixels; correct the size, or choose "
+                "another scale"
             )
     return scaled
 

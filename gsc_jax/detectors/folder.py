@@ -21,6 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gsc_jax.evidence.detector import same_view
 from gsc_jax.io import masks
 from gsc_jax.scene import Camera, InputError
 
@@ -86,7 +87,7 @@ class FolderDetector:
         """Probability of tampering in a view at the size of its file, shape (h, w) float32.
 
         Raises:
-            InputError: If the camera has no mask or the file is not a mask.
+            InputError: If the camera has no mask, or the file is not a mask or has another aspect.
         """
         match = self._best_match(camera.name)
         if match is None:
@@ -94,9 +95,14 @@ class FolderDetector:
                 f"{self.path}: no mask for camera {camera.name!r}, expected "
                 f"{camera.name + '.png'!r}"
             )
-        return masks.read_probability(
-            self.path / match[1], zero_one=self.zero_one, max_bytes=self._max_bytes
+        path = self.path / match[1]
+        probability = masks.read_probability(
+            path, zero_one=self.zero_one, max_bytes=self._max_bytes
         )
+        try:
+            return same_view(probability, camera)
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from error
 
     @functools.cached_property
     def zero_one(self) -> bool:

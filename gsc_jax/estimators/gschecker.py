@@ -12,7 +12,6 @@ from typing import Literal
 import numpy as np
 
 from gsc_jax.estimators.protocol import (
-    BELOW_1,
     DISAGREEMENT,
     MAX_SEED,
     Estimator,
@@ -28,6 +27,7 @@ from gsc_jax.losses import official_attributes, paper_attributes, standardised_a
 from gsc_jax.render.projection import NEAR
 from gsc_jax.render.tiles import View, make_view
 from gsc_jax.scene import Array
+from gsc_jax.scene.errors import BELOW_1
 from gsc_jax.vote import official_consensus, paper_consensus
 
 CONSENSUS = {"paper": paper_consensus, "official": official_consensus}

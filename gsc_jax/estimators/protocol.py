@@ -11,14 +11,13 @@ import numpy as np
 from gsc_jax.evidence.lifting import EvidenceOfViews
 from gsc_jax.evidence.masks import MaskRule
 from gsc_jax.evidence.observation import Observation
+from gsc_jax.scene.errors import check_ranges
 
 Reliability = Literal["reliable", "uninformative", "inverted", "unseen"]
 """Reliability of a mask: it flags most of the labelled Gaussians in the view, it does not, it flags
 everything else, or the view does not show them."""
 DISAGREEMENT = "Pixels were flagged, but the views agree on no tampered Gaussian."
 """Warning of an estimator that labels nothing although masks are not empty."""
-BELOW_1 = float(np.nextafter(1, 0))
-"""Largest number below 1, the upper bound of a threshold."""
 MAX_SEED = 2**32 - 1
 """Largest seed that both NumPy and JAX accept."""
 NONE_FLAGGED = "All masks are empty."
@@ -150,21 +149,13 @@ class Estimator(abc.ABC):
 
 
 def check_fields(estimator: Estimator, ranges: Mapping[str, tuple[float, float]]) -> None:
-    """Raise ValueError for an unknown mask rule, and for numbers outside of their closed ranges.
-
-    Where both bounds are integers, the number must be one, too.
-    """
+    """Raise ValueError for an unknown mask rule, and for numbers outside of their ranges."""
     rules = typing.get_args(MaskRule)
     if estimator.mask_rule not in rules:
         raise ValueError(
             f"mask_rule must be one of {', '.join(rules)}, got {estimator.mask_rule!r}"
         )
-    for name, (least, most) in ranges.items():
-        value, whole = getattr(estimator, name), isinstance(least, int)
-        if not least <= value <= most or (whole and not isinstance(value, int | np.integer)):
-            kind = "a whole number " if whole else ""
-            bounds = f"[{least:g}, 1)" if most == BELOW_1 else f"[{least:g}, {most:g}]"
-            raise ValueError(f"{name} must be {kind}in {bounds}, got {value}")
+    check_ranges(estimator, ranges)
 
 
 def unanimous(evidence: EvidenceOfViews) -> Finding | None:

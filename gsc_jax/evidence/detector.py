@@ -13,6 +13,12 @@ import numpy as np
 
 from gsc_jax.scene import Camera, InputError
 
+LEAST_SIDE = 4
+"""Least side of a map in pixels, if the view is not smaller: fewer are a score, not a map."""
+ASPECT_TOLERANCE = 0.1
+"""Largest log of the aspect of a map relative to that of its view, beside one pixel of rounding.
+It leaves room for images that were padded to a multiple of 32 pixels."""
+
 
 class Detector(Protocol):
     """A 2D tampering detector.
@@ -51,26 +57,57 @@ def fit_to_view(probability: Any, camera: Camera) -> np.ndarray:
     """
     from skimage.transform import resize
 
-    output: np.ndarray = np.asarray(probability, np.float32)
-    if output.ndim > 2:
-        output = output.reshape([side for side in output.shape if side != 1])
-    if output.ndim != 2 or not output.size:
-        raise InputError(
-            f"The detector's output for view {camera.name!r} has shape {np.shape(probability)}; "
-            "expected one probability per pixel, (height, width)."
-        )
+    output, size = _as_map(probability, camera), (camera.height, camera.width)
     if not (np.isfinite(output).all() and output.min() >= 0 and output.max() <= 1):
         raise InputError(
             f"The detector's output for view {camera.name!r} is not a probability: its values are "
             f"{output.min():.4g} to {output.max():.4g}, expected 0 to 1. Apply its sigmoid or "
             "divide by 255."
         )
-    size = (camera.height, camera.width)
     if output.shape == size:
         return output
     shrinks = output.shape[0] > size[0] or output.shape[1] > size[1]
     resized = resize(output, size, order=1, anti_aliasing=shrinks)
     return np.asarray(resized, np.float32).clip(0.0, 1.0)
+
+
+def _as_map(probability: Any, camera: Camera) -> np.ndarray:
+    """The output of a detector, (h, w) float32, without further axes of length 1."""
+    try:
+        with np.errstate(over="ignore"):  # infinities are refused
+            output = np.asarray(probability, np.float32)
+    except Exception as error:  # tensors of any library may come here
+        raise InputError(
+            f"The detector's output for view {camera.name!r} is a {type(probability).__name__}, "
+            "expected an array of probabilities, (height, width)."
+        ) from error
+    if output.ndim > 2:
+        output = output.reshape([side for side in output.shape if side != 1])
+    least = min(LEAST_SIDE, camera.height, camera.width)
+    if output.ndim != 2 or min(output.shape) < least:
+        raise InputError(
+            f"The detector's output for view {camera.name!r} has shape {np.shape(probability)}; "
+            "expected one probability per pixel, (height, width), of at least "
+            f"{least} x {least} pixels."
+        )
+    return output
+
+
+def same_view(probability: Any, camera: Camera) -> np.ndarray:
+    """The map, if it can show the whole view: it has its aspect, or is square.
+
+    Networks that do not keep the aspect mostly have square maps. Maps of other aspects are those of
+    another view or of a crop, and raise InputError.
+    """
+    output, aspect = _as_map(probability, camera), camera.width / camera.height
+    height, width = output.shape
+    distortion = abs(np.log(width / height / aspect))
+    if height != width and distortion > ASPECT_TOLERANCE + 1 / min(height, width):
+        raise InputError(
+            f"The mask of {camera.name!r} has {width} x {height} pixels, the view {camera.width} x "
+            f"{camera.height}; expected masks of the same views: of the same aspect, or square."
+        )
+    return output
 
 
 @dataclasses.dataclass(frozen=True)
@@ -84,8 +121,7 @@ class _FunctionDetector:
         return list(cameras)
 
     def __call__(self, image: np.ndarray | None, camera: Camera) -> np.ndarray:
-        del camera
-        return self.function(typing.cast(np.ndarray, image))
+        return same_view(self.function(typing.cast(np.ndarray, image)), camera)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -108,7 +144,7 @@ class _MappingDetector:
         del image
         if camera.name not in self.maps:
             raise InputError(f"Camera {camera.name!r} has no mask; leave it out, or give one.")
-        return self.maps[camera.name]
+        return same_view(self.maps[camera.name], camera)
 
 
 def as_detector(detector: Any) -> Detector:

@@ -165,6 +165,8 @@ def _camera_to_world(pose: np.ndarray) -> np.ndarray:
     """The inverse of a pose, shape (3, 4)."""
     from scipy.spatial.transform import Rotation
 
+    if not pose[:4].any():
+        raise ValueError("the quaternion of its pose is 0, expected a rotation; export it again")
     with np.errstate(all="ignore"):  # `pinhole` refuses what is not finite
         rotation = Rotation.from_quat(pose[[1, 2, 3, 0]]).as_matrix()
         return np.column_stack([rotation.T, -rotation.T @ pose[4:]])

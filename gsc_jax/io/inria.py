@@ -9,9 +9,16 @@ from typing import Annotated, Any
 
 import numpy as np
 import pydantic
-from pydantic import Field, FiniteFloat
+from pydantic import Field
 
-from gsc_jax.io.json_cameras import FocalLength, Pixels, Vector3, construct_cameras, pinhole
+from gsc_jax.io.json_cameras import (
+    FocalLength,
+    Number,
+    Pixels,
+    Vector3,
+    construct_cameras,
+    pinhole,
+)
 from gsc_jax.scene import Camera
 
 
@@ -25,8 +32,8 @@ class _Item(pydantic.BaseModel):
     rotation: Annotated[list[Vector3], Field(min_length=3, max_length=3)]
     fx: FocalLength
     fy: FocalLength
-    cx: FiniteFloat | None = None
-    cy: FiniteFloat | None = None
+    cx: Number | None = None
+    cy: Number | None = None
 
 
 def read_inria(items: list[Any], path: Path) -> list[Camera]:

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import numpy as np
 import pydantic
-from pydantic import Field, FiniteFloat
+from pydantic import BeforeValidator, Field, FiniteFloat
 
 from gsc_jax.io.validation import one_line, shown
 from gsc_jax.scene import Camera, InputError
@@ -16,10 +16,20 @@ from gsc_jax.scene.gaussians import MAX_MAGNITUDE
 
 MAX_SIDE_PIXELS = 1_000_000
 """No camera and no panorama has more pixels along a side."""
-Pixels = Annotated[int, Field(ge=1, le=MAX_SIDE_PIXELS)]
-FocalLength = Annotated[FiniteFloat, Field(gt=0)]
-Vector3 = Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)]
-Vector4 = Annotated[list[FiniteFloat], Field(min_length=4, max_length=4)]
+
+
+def _no_boolean(value: Any) -> Any:
+    """Refuse true and false, which pydantic takes for 1 and 0."""
+    if isinstance(value, bool):
+        raise ValueError("expected a number")
+    return value
+
+
+Number = Annotated[FiniteFloat, BeforeValidator(_no_boolean)]
+Pixels = Annotated[int, Field(ge=1, le=MAX_SIDE_PIXELS), BeforeValidator(_no_boolean)]
+FocalLength = Annotated[Number, Field(gt=0)]
+Vector3 = Annotated[list[Number], Field(min_length=3, max_length=3)]
+Vector4 = Annotated[list[Number], Field(min_length=4, max_length=4)]
 ORTHONORMAL_TOLERANCE = 5e-3
 """Largest accepted entry of |R^T R - I|: some files round rotations to three decimals."""
 

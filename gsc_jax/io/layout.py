@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import jax
 import numpy as np
 
-from gsc_jax.scene import Gaussians, InputError
+from gsc_jax.scene import Array, Gaussians, InputError
 
 if TYPE_CHECKING:
     from plyfile import PlyData, PlyElement
@@ -78,6 +78,19 @@ def encode(gaussians: Gaussians) -> "PlyData":
         table[:, first : first + rests // 3] = host.sh[:, 1:, channel]
     data = table.view([(name, "<f4") for name in names]).reshape(len(table))
     return PlyData([PlyElement.describe(data, "vertex")], byte_order="<")
+
+
+def checked_scores(path: str | Path, tamper: Array, count: int) -> np.ndarray:
+    """Scores as float32, shape (count,); InputError if there are others, or one is not finite."""
+    scores = np.asarray(tamper)
+    with np.errstate(over="ignore"):
+        real = scores.astype(np.float32) if scores.dtype.kind in "biuf" else np.array(np.nan)
+    if real.shape != (count,) or not np.isfinite(real).all():
+        raise InputError(
+            f"{path}: not written: expected {count} finite scores, one per Gaussian, found "
+            f"{scores.dtype} of shape {scores.shape}; correct the scores"
+        )
+    return real
 
 
 def _rest_names(vertex: "PlyElement", path: Path) -> tuple[str, ...]:

@@ -9,6 +9,9 @@ Files written here preserve every decision: `p > 0.5` holds after reading exactl
 before writing.
 """
 
+import contextlib
+import threading
+from collections.abc import Iterator
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import TYPE_CHECKING
 
@@ -26,6 +29,13 @@ IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp")
 """Suffixes of mask files, in lower case; upper case is accepted too."""
 IMAGE_FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "WEBP")
 """Their formats: Pillow would run other programs for some of the others."""
+AS_STORED = ("1", "L", "LA", "I", "I;16", "I;16B", "F", "RGB", "RGBA")
+"""Pillow's modes whose channels are grey levels or red, green and blue, and alpha."""
+TRANSPARENT_LEVEL = {"1": 1 / 255, "L;2": 85, "L;4": 17, "RGB;16B": 1 / 256}
+"""Level of a pixel per level of the transparent colour, where Pillow scales only the pixels."""
+MIN_IS_WHITE = (262, 0)
+"""TIFF tag and value of inverted levels, which Pillow ignores for 16 bits."""
+_OPENING = threading.Lock()
 BYTES_PER_PIXEL = 32
 """Memory of a coloured mask while it is reduced to one channel and resized, with 8 bytes each."""
 MAX_PART_BYTES, MAX_NAME_BYTES = 240, 1000
@@ -128,16 +138,14 @@ def image_path(folder: str | Path, name: str) -> Path:
 
 
 def _read_pixels(path: Path, max_bytes: int | None) -> np.ndarray:
-    """Pixels of an image file, as stored; a palette is replaced by its colours."""
-    from PIL import Image
-
+    """Pixels of an image file: grey levels or colours, with alpha as the last channel."""
     try:
-        with Image.open(path, formats=IMAGE_FORMATS) as image:
+        with open_image(path) as image:
             needed = BYTES_PER_PIXEL * image.width * image.height
             check_allocation(path, needed, max_bytes)
             if _has_second_frame(image):
                 raise InputError(f"{path}: holds several pages or frames, expected one; save one")
-            return np.array(image.convert() if image.mode == "P" else image)
+            return _decoded(image)
     except InputError:
         raise
     except Exception as error:  # the decoders have no common base class for damaged files
@@ -145,6 +153,38 @@ def _read_pixels(path: Path, max_bytes: int | None) -> np.ndarray:
             f"{path}: cannot be read as an image, expected a grey PNG; it may be cut short or of "
             "another format: write it again"
         ) from error
+
+
+@contextlib.contextmanager
+def open_image(path: Path) -> Iterator["PIL.Image.Image"]:
+    """Open an image of any size; `check_allocation` replaces Pillow's bound on the pixels."""
+    from PIL import Image
+
+    with _OPENING:
+        bound, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
+        try:
+            image = Image.open(path, formats=IMAGE_FORMATS)
+        finally:
+            Image.MAX_IMAGE_PIXELS = bound
+    with image:
+        yield image
+
+
+def _decoded(image: "PIL.Image.Image") -> np.ndarray:
+    """Pixels with palettes, inks and inverted levels decoded, and a transparent colour black."""
+    tiles = getattr(image, "tile", []) if image.format == "PNG" else []
+    rawmode = tiles[0].args if tiles else ""
+    transparent = image.info.get("transparency")
+    if image.mode not in AS_STORED:
+        return np.array(image.convert("RGBA" if image.has_transparency_data else "RGB"))
+    pixels, (tag, value) = np.array(image), MIN_IS_WHITE
+    if image.mode == "I;16" and getattr(image, "tag_v2", {}).get(tag) == value:
+        pixels = np.iinfo(pixels.dtype).max - pixels
+    if transparent is None:
+        return pixels
+    level = np.array(transparent) * TRANSPARENT_LEVEL.get(str(rawmode), 1)
+    pixels[np.atleast_3d(pixels == level.astype(int)).all(axis=2)] = 0
+    return pixels
 
 
 def _has_second_frame(image: "PIL.Image.Image") -> bool:

@@ -20,7 +20,7 @@ import numpy as np
 from gsc_jax.io import compressed
 from gsc_jax.io.allocation import check_allocation
 from gsc_jax.io.files import atomic, existing_file
-from gsc_jax.io.layout import REST_COUNTS, decode, encode
+from gsc_jax.io.layout import REST_COUNTS, checked_scores, decode, encode
 from gsc_jax.io.validation import brief
 from gsc_jax.scene import Array, Gaussians, InputError, invalid_rows
 from gsc_jax.scene.gaussians import usable_rows
@@ -135,11 +135,11 @@ def save_ply(path: str | Path, gaussians: Gaussians, *, tamper: Array | None = N
 
     Raises:
         InputError: If the file cannot be written, or could not be read again: there is no Gaussian
-            that can be rendered, or the degree of the spherical harmonics is not 0 to 3.
-        ValueError: If there are not N scores.
+            that can be rendered, the degree of the spherical harmonics is not 0 to 3, or there are
+            not N finite scores.
     """
     host = jax.tree.map(np.asarray, gaussians)
-    scores = None if tamper is None else np.asarray(tamper).reshape(len(host))
+    scores = None if tamper is None else checked_scores(path, tamper, len(host))
     save_parts(path, host, lambda rows: host.take(rows), scores)
 
 
@@ -150,8 +150,8 @@ def save_tampered(path: str | Path, scene: PlyScene, tamper: Array) -> None:
     `tamper` is replaced. The output is binary little endian and may replace the file that was read.
     Scores have shape (N,); excluded rows get 0.
     """
-    scores, vertex = scene.expand(np.asarray(tamper)), copy.copy(scene.ply["vertex"])
-    data = vertex.data
+    scores, vertex = checked_scores(path, tamper, len(scene.rows)), copy.copy(scene.ply["vertex"])
+    scores, data = scene.expand(scores), vertex.data
 
     def vertices(rows: slice) -> "PlyElement":
         vertex.data = data[rows]

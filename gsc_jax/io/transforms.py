@@ -13,10 +13,17 @@ from typing import Annotated, Any
 
 import numpy as np
 import pydantic
-from pydantic import Field, FiniteFloat
+from pydantic import Field
 
-from gsc_jax.io.json_cameras import FocalLength, Pixels, Vector4, construct_cameras, pinhole
-from gsc_jax.io.masks import IMAGE_FORMATS
+from gsc_jax.io.json_cameras import (
+    FocalLength,
+    Number,
+    Pixels,
+    Vector4,
+    construct_cameras,
+    pinhole,
+)
+from gsc_jax.io.masks import open_image
 from gsc_jax.io.validation import shown
 from gsc_jax.scene import Camera, InputError
 
@@ -27,7 +34,7 @@ PINHOLE_MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE")
 OPENGL_TO_OPENCV = np.array([1.0, -1.0, -1.0, 1.0])
 IMAGE_SUFFIXES = ("", ".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")
 
-Radians = Annotated[float, Field(gt=0, lt=np.pi)]
+Radians = Annotated[Number, Field(gt=0, lt=np.pi)]
 
 
 class _Frame(pydantic.BaseModel):
@@ -41,8 +48,8 @@ class _Frame(pydantic.BaseModel):
     fl_y: FocalLength | None = None
     camera_angle_x: Radians | None = None
     camera_angle_y: Radians | None = None
-    cx: FiniteFloat | None = None
-    cy: FiniteFloat | None = None
+    cx: Number | None = None
+    cy: Number | None = None
 
 
 def read_transforms(data: Mapping[str, Any], path: Path) -> list[Camera]:
@@ -91,13 +98,11 @@ def _check_undistorted(item: Mapping[str, Any]) -> None:
 
 def _image_size(stem: Path) -> tuple[int, int]:
     """Width and height in pixels of an image; its suffix may be missing."""
-    from PIL import Image
-
     problem = ValueError(f"lacks 'w' and 'h', and {shown(str(stem))} is not an image; add them")
     try:
         for path in (Path(f"{stem}{suffix}") for suffix in IMAGE_SUFFIXES):
             if path.is_file():
-                with Image.open(path, formats=IMAGE_FORMATS) as image:
+                with open_image(path) as image:
                     return image.size
     except Exception as error:  # the decoders have no common base class for damaged files
         raise problem from error

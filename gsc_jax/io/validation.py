@@ -8,6 +8,7 @@ from typing import Any
 import pydantic
 
 SHOWN_CHARACTERS, MESSAGE_CHARACTERS = 80, 250
+NO_TABLE = ("model_type", "dataclass_type")
 UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
 
 
@@ -36,9 +37,12 @@ def one_line(
         last, short = first["loc"][-1], f"expected more values, found {shown(found)}"
         return f"{name}: {short if isinstance(last, int) else f'{last!r} is missing'}"
     reasons = dict.fromkeys(
-        _reason(problem["msg"]) for problem in problems if _located(problem["loc"], given)[0] == key
+        "expected an object with keys" if problem["type"] in NO_TABLE else _reason(problem["msg"])
+        for problem in problems
+        if _located(problem["loc"], given)[0] == key
     )
-    return f"{name}: {' or '.join(reasons)}" + (f", found {shown(found)}" if key else "")
+    whole = not key and first["type"] not in NO_TABLE
+    return f"{name}: {' or '.join(reasons)}" + ("" if whole else f", found {shown(found)}")
 
 
 def shown(value: Any) -> str:

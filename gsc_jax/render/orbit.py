@@ -9,6 +9,7 @@ import numpy as np
 
 from gsc_jax.scene import Array, Camera, Gaussians, InputError
 from gsc_jax.scene.camera import intrinsics
+from gsc_jax.scene.errors import in_range
 from gsc_jax.scene.gaussians import usable_rows
 
 ELEVATIONS = np.radians([10.0, 25.0, 40.0])
@@ -21,8 +22,8 @@ FOV_DEGREES = 0.01, 179.0
 """Fields of view of an orbit: beyond them, a pinhole camera has no usable focal length."""
 DEFAULT_UP = np.array([0.0, -1.0, 0.0])
 """Up direction of most scenes from COLMAP."""
-MAX_SIDE = 10**6
-"""Largest side of an image in pixels."""
+MAX_SIDE = MAX_CAMERAS = 10**6
+"""Largest side of an image in pixels, and number of cameras."""
 MIN_MEAN_UP = 1e-3
 """Length of a mean of unit vectors below which they cancel, and only rounding gives a direction."""
 
@@ -58,12 +59,13 @@ def orbit_cameras(
     """
     up = np.asarray(up, np.float64)
     valid_up = up.shape == (3,) and 0 < np.linalg.norm(up) < np.inf
-    valid_size = all(side in range(1, MAX_SIDE + 1) for side in size)
-    if not (n >= 1 and valid_size and FOV_DEGREES[0] <= fov_degrees <= FOV_DEGREES[1] and valid_up):
+    valid_size = np.shape(size) == (2,) and all(in_range(side, 1, MAX_SIDE) for side in size)
+    valid = in_range(n, 1, MAX_CAMERAS) and in_range(fov_degrees, *FOV_DEGREES)
+    if not (valid and valid_size and valid_up):
         raise InputError(
-            f"orbit of {n} cameras, size {size}, field of view {fov_degrees} degrees, up {up}: "
-            "expected at least one camera, whole numbers of pixels, an angle from 0.01 to 179, and "
-            "a direction of three numbers"
+            f"orbit of {n!r} cameras, size {size}, field of view {fov_degrees!r} degrees, up {up}: "
+            "expected at least one camera, whole numbers of cameras and pixels, an angle from "
+            "0.01 to 179, and a direction of three numbers"
         )
     (width, height), (center, radius) = size, _extent(gaussians)
     focal = 0.5 * width / np.tan(0.5 * np.radians(fov_degrees))

@@ -5,6 +5,7 @@ import dataclasses
 import jax
 import numpy as np
 
+from gsc_jax.scene.errors import in_range
 from gsc_jax.scene.gaussians import Array
 from gsc_jax.scene.pytree import STATIC
 
@@ -22,7 +23,7 @@ class Camera:
         name: Name of the masks and outputs of this view; may contain dots and folders.
 
     Raises:
-        ValueError: if the image has no pixel.
+        ValueError: if the image has no pixel, or the name is not Unicode text.
     """
 
     viewmat: Array
@@ -32,10 +33,13 @@ class Camera:
     name: str = dataclasses.field(default="", metadata=STATIC)
 
     def __post_init__(self) -> None:
-        """Check the size: an empty image would fail, or be silently blank, in every later step."""
+        """Check size and name: an empty image would fail, or be silently blank, in later steps."""
         for side in (self.width, self.height):
-            if not isinstance(side, int | np.integer) or side < 1:
-                raise ValueError(f"expected whole numbers of pixels above 0, got {side}")
+            if not in_range(side, 1, np.inf):
+                raise ValueError(f"expected whole numbers of pixels above 0, got {side!r}")
+        name = self.name  # lone surrogates have no encoding
+        if not isinstance(name, str) or name != name.encode(errors="replace").decode():
+            raise ValueError(f"camera name {name!r:.80} cannot name a file: expected Unicode")
 
     @property
     def center(self) -> Array:

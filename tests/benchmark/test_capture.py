@@ -95,7 +95,20 @@ def test_similarity_is_that_of_scikit_image():
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"strategy": "MCMC"}, {"budget": 4}, {"sh_degree": 4}, {"ssim_weight": 2}]
+    "wrong",
+    [
+        {"strategy": "MCMC"},
+        {"budget": 4},
+        {"budget": 100.5},
+        {"iterations": 2.5},
+        {"iterations": True},
+        {"iterations": "100"},
+        {"sh_degree": 4},
+        {"sh_degree": 1.0},
+        {"ssim_weight": 2},
+        {"ssim_weight": float("nan")},
+        {"reset_opacities": 3},
+    ],
 )
 def test_options_out_of_range_are_errors(wrong):
     with pytest.raises(ValueError, match="got"):

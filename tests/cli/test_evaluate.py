@@ -11,6 +11,7 @@ from data import DATA, TAMPERED, needs_data
 
 from gsc_jax.benchmark.metrics import auc, confusion
 from gsc_jax.io.masks import image_path, read_probability, write_mask
+from gsc_jax.scene import InputError
 
 case, found, own_cache = FIXTURES
 
@@ -177,6 +178,19 @@ def test_memory_is_bounded_by_an_option(case, folder, memory, problem):
     bound = ("--memory", memory)
     assert problem in refused("evaluate", folder, "--truth", case / "truth.npy", *bound)
     assert problem in refused("view", folder, "--html", folder / "page.html", *bound)
+
+
+@pytest.mark.parametrize("file", ["masks", "views.json"])
+def test_the_bound_on_memory_reaches_every_file(case, folder, monkeypatch, file):
+    checked = {"masks": "gsc_jax.io.masks", "views.json": "gsc_jax.io.tables"}[file]
+
+    def check(path, needed, limit):
+        if Path(path).is_relative_to(folder / file):
+            raise InputError(f"{path}: {needed} of {limit}")
+
+    monkeypatch.setattr(f"{checked}.check_allocation", check)
+    message = refused("evaluate", folder, "--truth", case / "masks", "--memory", 3)
+    assert message.strip().endswith(f" of {3 * 2**30}")
 
 
 def test_folders_without_results_and_with_masks_of_another_run(case, folder):

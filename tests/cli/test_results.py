@@ -106,10 +106,14 @@ class TestRefusals:
         assert "no such folder" in refusal(tmp_path / "nothing")
         assert "holds no results of gsc-jax locate" in refusal(tmp_path)
 
-    @pytest.mark.parametrize("text", ["", "{", "[1, 2", "3"])
+    @pytest.mark.parametrize("text", ["", "{", "[1, 2", "3", "[1]"])
     def test_a_damaged_report(self, folder, text):
         (folder / "result.json").write_text(text)
         assert refusal(folder).startswith(f"{folder / 'result.json'}: ")
+
+    def test_a_list_instead_of_a_report(self, folder):
+        (folder / "result.json").write_text("[1]")
+        assert "result.json: expected an object with keys, found [1]; run" in refusal(folder)
 
     @pytest.mark.parametrize("value", [None, {}, [{}], 3, {"tampered": "many", "gaussians": 1}])
     @pytest.mark.parametrize("key", ["config", "counts", "per_view"])

@@ -50,6 +50,16 @@ def test_names_that_cannot_be_written_are_refused_before_anything_is_computed(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize("size", [{"width": 3}, {"width": 100_000, "height": 90_000}])
+def test_absurd_sizes_are_blamed_on_the_file(case, tmp_path, size):
+    cameras = tmp_path / "cameras.json"
+    items = json.loads((case / "cameras.json").read_text())
+    cameras.write_text(json.dumps([item | size for item in items]))
+    message = refused("render", case / "scene.ply", "--cameras", cameras, "--out", tmp_path / "out")
+    assert f"{cameras}: camera " in message
+    assert "at least 8 and at most 50,000,000 pixels; correct the size" in message
+
+
 def test_names_that_differ_in_case_or_share_a_folder_are_accepted(case):
     camera = load_cameras(case / "cameras.json")[0]
     names = ("a", "A", "a.png", "b/a", "b/c", "b")

@@ -17,11 +17,11 @@ def cameras(*names: str) -> list[Camera]:
 
 
 def folder(path: Path, *files: str) -> FolderDetector:
-    """A folder in which mask k has the width k + 1, to identify the mask that was read."""
+    """A folder in which mask k has sides of 4 + k pixels, to identify the mask that was read."""
     for k, file in enumerate(files):
         (path / file).parent.mkdir(parents=True, exist_ok=True)
         extension = Path(file).suffix.lower()
-        iio.imwrite(path / file, np.full((1, k + 1), 255, np.uint8), extension=extension)
+        iio.imwrite(path / file, np.full((4 + k, 4 + k), 255, np.uint8), extension=extension)
     return FolderDetector(path)
 
 
@@ -54,7 +54,7 @@ def selected(detector: FolderDetector, *names: str) -> list[str]:
 def test_most_exact_file_is_the_mask_of_a_camera(tmp_path, name, files, read):
     detector = folder(tmp_path, *files)
     (chosen,) = detector.select(cameras(name))
-    assert detector(None, chosen).shape == (1, files.index(read) + 1)
+    assert detector(None, chosen).shape == (4 + files.index(read),) * 2
 
 
 @pytest.mark.parametrize(
@@ -104,7 +104,7 @@ def test_invalid_folders_are_refused(tmp_path):
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "notes.txt").write_text("text")
     (tmp_path / "other" / "._a.png").write_bytes(b"hidden")
-    iio.imwrite(tmp_path / "a.png", np.zeros((2, 2), np.uint8))
+    iio.imwrite(tmp_path / "a.png", np.zeros((4, 4), np.uint8))
     expected = {
         "missing": "does not exist",
         "a.png": "is a file",
@@ -121,7 +121,7 @@ def test_invalid_folders_are_refused(tmp_path):
 
 def test_zero_one_is_decided_for_the_whole_folder(tmp_path):
     binary, soft = tmp_path / "binary", tmp_path / "soft"
-    ones = np.ones((2, 2), np.uint8)
+    ones = np.ones((4, 4), np.uint8)
     for path, levels in ((binary, (0, 1)), (soft, (1, 200))):
         path.mkdir()
         for name, level in zip("ab", levels, strict=True):
@@ -135,6 +135,21 @@ def test_zero_one_is_decided_for_the_whole_folder(tmp_path):
 
 @pytest.mark.parametrize("name", ["a", "a.png", "img.0001.JPG", "left/a.b.JPG", "left\\a"])
 def test_written_mask_is_read_for_its_camera(tmp_path, name):
-    masks.write_mask(masks.image_path(tmp_path, name), np.ones((3, 2), bool))
-    masks.write_mask(masks.image_path(tmp_path, "other/" + name), np.zeros((1, 1), bool))
-    assert FolderDetector(tmp_path)(None, view(name)).shape == (3, 2)
+    masks.write_mask(masks.image_path(tmp_path, name), np.ones((5, 5), bool))
+    masks.write_mask(masks.image_path(tmp_path, "other/" + name), np.zeros((4, 4), bool))
+    assert FolderDetector(tmp_path)(None, view(name)).shape == (5, 5)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 5000), (3, 3), (480, 640), (640, 100)])
+def test_masks_that_cannot_show_the_view_are_refused(tmp_path, size):
+    masks.write_mask(tmp_path / "a.png", np.ones(size, bool))
+    camera = view("a").resized(480, 640)
+    with pytest.raises(InputError, match=r"a\.png: .*'a' has .*expected") as error:
+        FolderDetector(tmp_path)(None, camera)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("size", [(640, 480), (20, 16), (512, 512), (672, 480), (1280, 961)])
+def test_masks_of_other_sizes_are_accepted(tmp_path, size):
+    masks.write_mask(tmp_path / "a.png", np.ones(size, bool))
+    assert FolderDetector(tmp_path)(None, view("a").resized(480, 640)).shape == size

@@ -115,6 +115,10 @@ def test_cameras_that_could_not_be_read_again_are_not_written(tmp_path, cameras,
         {"width": 10**7},
         {"width": 10**400},
         {"width": float("inf")},
+        {"width": True},
+        {"fx": True},
+        {"position": [0, True, 0]},
+        {"img_name": "a\ud800"},
     ],
 )
 def test_numbers_beyond_float32_are_refused(tmp_path, change):

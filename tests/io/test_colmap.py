@@ -68,7 +68,7 @@ def test_a_wrong_count_is_refused_at_once(tmp_path, place, count):
         ("1 PINHOLE 64 40 50 50 32", "1 1 0 0 0 0 0 0 1 a.png\n", "with 3 parameters"),
         ("1 PINHOLE 64 40 1e300 50 32 20", "1 1 0 0 0 0 0 0 1 a.png\n", "not finite"),
         ("1 PINHOLE 0 40 50 50 32 20", "1 1 0 0 0 0 0 0 1 a.png\n", "0 x 40 pixels"),
-        ("1 PINHOLE 64 40 50 50 32 20", "1 0 0 0 0 0 0 0 1 a.png\n", "zero norm"),
+        ("1 PINHOLE 64 40 50 50 32 20", "1 0 0 0 0 0 0 0 1 a.png\n", "quaternion of its pose is 0"),
         ("1 PINHOLE 64 40 50 50 32 20", "1 1 0 0 0 nan 0 0 1 a.png\n", "not finite"),
         ("1 PINHOLE 64 40 50 50 32 20", "1 1 0 0 0 0\n", "numbers of a pose"),
     ],

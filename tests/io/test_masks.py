@@ -1,14 +1,16 @@
 """Masks keep their decisions in files, and every layout of a mask file has one meaning."""
 
+import struct
 import tracemalloc
 from pathlib import Path
+from zlib import compress, crc32
 
 import hypothesis.extra.numpy as hnp
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
-from PIL import Image
+from PIL import Image, TiffImagePlugin
 
 from gsc_jax.io import masks
 from gsc_jax.scene import InputError
@@ -68,6 +70,36 @@ def grey(mode: str) -> Image.Image:
 BLACK, WHITE = Image.new("L", (9, 6)), Image.new("L", (9, 6), 255)
 
 
+def with_transparent_colour(depth: int, kind: int, row: bytes, colour: bytes) -> bytes:
+    """A .png of four pixels of this row and a transparent colour (chunk tRNS)."""
+
+    def chunk(name: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + name + data + struct.pack(">I", crc32(name + data))
+
+    header = chunk(b"IHDR", struct.pack(">IIBBBBB", 4, 1, depth, kind, 0, 0, 0))
+    pixels = chunk(b"IDAT", compress(b"\0" + row))
+    return b"\x89PNG\r\n\x1a\n" + header + chunk(b"tRNS", colour) + pixels + chunk(b"IEND", b"")
+
+
+@pytest.mark.parametrize(
+    ("depth", "kind", "row", "colour", "expected"),
+    [
+        (1, 0, b"\x50", b"\0\0", [0, 1, 0, 1]),
+        (1, 0, b"\x50", b"\0\1", [0, 0, 0, 0]),
+        (2, 0, b"\x1b", b"\0\2", [0, 1 / 3, 0, 1]),
+        (4, 0, b"\x0f\xf5", b"\0\x0f", [0, 0, 0, 1 / 3]),
+        (8, 0, b"\x00\x33\xff\xcc", b"\0\xff", [0, 0.2, 0, 0.8]),
+        (16, 0, b"\0\0\xff\xff\x33\x33\xff\xfe", b"\xff\xff", [0, 0, 0.2, 65534 / 65535]),
+        (8, 2, b"\xff" * 6 + b"\0" * 3 + b"\x33" * 3, b"\0\xff" * 3, [0, 0, 0, 0.2]),
+        (16, 2, b"\xff" * 12 + b"\0" * 6 + b"\x33" * 6, b"\xff" * 6, [0, 0, 0, 0.2]),
+    ],
+)
+def test_the_transparent_colour_is_authentic(tmp_path, depth, kind, row, colour, expected):
+    (tmp_path / "m.png").write_bytes(with_transparent_colour(depth, kind, row, colour))
+    found = masks.read_probability(tmp_path / "m.png", zero_one=False)
+    np.testing.assert_allclose(found, [expected], atol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("name", "image"),
     [
@@ -86,6 +118,9 @@ BLACK, WHITE = Image.new("L", (9, 6)), Image.new("L", (9, 6), 255)
         ("palette-zero-one.png", palette(0, 0, 0, 1, 1, 1)),
         ("palette-transparent.png", palette(255, 255, 255, 255, 255, 255, transparency=0)),
         ("red.png", Image.merge("RGB", (grey("L"), BLACK, BLACK))),
+        ("inks.tif", grey("RGB").convert("CMYK")),
+        ("luminance.tif", grey("RGB").convert("YCbCr")),
+        ("unused.tif", grey("RGB").convert("RGBX")),
         ("mask.bmp", grey("L")),
         ("MASK.PNG", grey("L")),
     ],
@@ -97,10 +132,19 @@ def test_every_layout_of_a_mask_reads_the_same(tmp_path, name, image):
     np.testing.assert_array_equal(found, MASK)
 
 
+def test_inverted_levels_of_16_bits_are_decoded(tmp_path):
+    levels = Image.fromarray(~MASK * np.uint16(65535))
+    levels.save(tmp_path / "m.tif", tiffinfo={TiffImagePlugin.PHOTOMETRIC_INTERPRETATION: 0})
+    np.testing.assert_array_equal(masks.read_probability(tmp_path / "m.tif"), MASK)
+
+
+@pytest.mark.parametrize("mode", ["RGB", "CMYK"])
 @pytest.mark.parametrize("suffix", ["jpg", "webp"])
-def test_lossy_masks_keep_their_decision(tmp_path, suffix):
+def test_lossy_masks_keep_their_decision(tmp_path, suffix, mode):
     mask = np.kron(MASK, np.ones((16, 16), bool))
-    Image.fromarray(mask * np.uint8(255)).convert("RGB").save(tmp_path / f"m.{suffix}")
+    Image.fromarray(mask * np.uint8(255)).convert("RGB").convert(mode).save(
+        tmp_path / f"m.{suffix}"
+    )
     np.testing.assert_array_equal(masks.read_probability(tmp_path / f"m.{suffix}") > 0.5, mask)
 
 
@@ -199,6 +243,15 @@ def test_large_images_are_refused_by_their_header(tmp_path):
         masks.read_probability(tmp_path / "large.png", max_bytes=2**30)
     assert tracemalloc.get_traced_memory()[1] < 2**22
     tracemalloc.stop()
+
+
+def test_no_other_bound_than_that_of_memory_applies(tmp_path, monkeypatch):
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 10)
+    Image.fromarray(MASK).save(tmp_path / "m.png")
+    np.testing.assert_array_equal(masks.read_probability(tmp_path / "m.png"), MASK)
+    with pytest.raises(InputError, match="of memory to read"):
+        masks.read_probability(tmp_path / "m.png", max_bytes=100)
+    assert Image.MAX_IMAGE_PIXELS == 10
 
 
 def test_formats_for_which_other_programs_would_run_are_refused(tmp_path):

@@ -296,6 +296,24 @@ def test_scenes_that_could_not_be_read_again_are_not_written(tmp_path, scene):
     assert not list(tmp_path.iterdir())
 
 
+SCORES = np.zeros(len(SCENE), np.float32)
+
+
+@pytest.mark.parametrize(
+    "scores",
+    [SCORES + np.nan, SCORES - np.inf, SCORES[1:], SCORES[None], [1e300] * 7, ["a"] * 7],
+)
+def test_scores_that_are_not_one_number_per_gaussian_are_not_written(tmp_path, scores):
+    save_ply(tmp_path / "old.ply", SCENE)
+    for save in (
+        lambda path: save_ply(path, SCENE, tamper=scores),
+        lambda path: save_tampered(path, read_ply(tmp_path / "old.ply"), scores),
+    ):
+        with pytest.raises(InputError, match=r"new\.ply: not written: expected 7 finite scores"):
+            save(tmp_path / "new.ply")
+    assert [path.name for path in tmp_path.iterdir()] == ["old.ply"]
+
+
 @pytest.mark.parametrize("kind", ["f4", "f8"])
 def test_signalling_nans_are_left_out_without_a_warning(tmp_path, kind):
     bits = {"f4": np.uint32(0x7F800001), "f8": np.uint64(0x7FF0000000000001)}[kind]

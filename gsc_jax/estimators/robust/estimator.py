@@ -16,7 +16,6 @@ import dataclasses
 import numpy as np
 
 from gsc_jax.estimators.protocol import (
-    BELOW_1,
     MAX_SEED,
     Estimator,
     Finding,
@@ -40,6 +39,7 @@ from gsc_jax.evidence.masks import MaskRule
 from gsc_jax.evidence.observation import Observation
 from gsc_jax.render.projection import NEAR
 from gsc_jax.scene import Array
+from gsc_jax.scene.errors import BELOW_1
 
 RANGES: dict[str, tuple[float, float]] = {
     "sample": (1, 10**9),

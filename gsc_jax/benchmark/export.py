@@ -25,7 +25,6 @@ from gsc_jax.io.compressed import from_gsply
 from gsc_jax.render.spherical_harmonics import Y0
 from gsc_jax.scene import Gaussians, InputError
 from gsc_jax.scene.gaussians import usable_rows
-from gsc_jax.scene.parallel import in_blocks
 
 SCALE_STEP = 1 / 16
 """Step of log scales, as in spz."""
@@ -35,13 +34,10 @@ QUATERNION_STEP = 1 / 128
 """Step of the entries of unit quaternions: 8 bits, signed."""
 POSITION_BITS = 14
 """Positions have 2^14 steps along the longest side of the scene, its farthest percent excluded."""
-CODEBOOK, PALETTE_UNIT, MAX_PALETTE = 256, 1024, 65_536
-"""Entries for single numbers; those for the harmonics above degree 0 are as many units as a power
-of two allows, up to a bound, as in splat-transform."""
-LLOYD_STEPS, PALETTE_STEPS = 10, 4
-"""Steps of Lloyd's method, a k-means, for single numbers and for harmonics."""
-SAMPLE, SAMPLE_PER_CLUSTER = 300_000, 64
-"""Numbers, and rows per cluster, from which entries are computed, to bound the time."""
+CODEBOOK, PALETTE = 256, 1024
+"""Entries for single numbers, and for the harmonics above degree 0; .sog has 1024 or more."""
+LLOYD_STEPS = 10
+"""Steps of Lloyd's method, a k-means of single numbers."""
 CHUNKS, MIN_COUNT = 6, 8
 """Chunks of a streamed scene, and Gaussians that a scene has at least."""
 
@@ -141,14 +137,12 @@ def compressed_ply(gaussians: Gaussians, _: np.random.Generator) -> Exported:
     return Exported(from_gsply(gsply.decompress_from_bytes(data)), rows)
 
 
-def palettes(gaussians: Gaussians, rng: np.random.Generator) -> Exported:
-    """Round as .sog does, in Morton order, as splat-transform does.
+def palettes(gaussians: Gaussians, rng: np.random.Generator) -> Gaussians:
+    """Round as .sog does, with a smaller palette of harmonics and in the same order.
 
     Positions have 16 bits of a logarithm, opacities and quaternions 8 bits, scales and colours come
-    from codebooks, all other harmonics of a Gaussian from a palette with a codebook.
+    from codebooks, all other harmonics of a Gaussian from a palette.
     """
-    rows = morton_order(np.asarray(gaussians.means))
-    gaussians = gaussians.take(rows)
     means = np.sign(gaussians.means) * np.log1p(np.abs(gaussians.means))
     low, step = means.min(axis=0), np.maximum(np.ptp(means, axis=0), 1e-12) / (2**16 - 1)
     means = low + np.round((means - low) / step) * step
@@ -159,14 +153,13 @@ def palettes(gaussians: Gaussians, rng: np.random.Generator) -> Exported:
     quats = np.asarray(gaussians.rotations)
     largest = np.take_along_axis(quats, np.abs(quats).argmax(axis=1)[:, None], axis=1)
     quats = np.round(quats * np.sign(largest) * 2**0.5 * 127) / (2**0.5 * 127)
-    rounded = Gaussians(
+    return Gaussians(
         means=(np.sign(means) * np.expm1(np.abs(means))).astype(np.float32),
         log_scales=_codebook(np.asarray(gaussians.log_scales)),
         quats=(quats / np.linalg.norm(quats, axis=1, keepdims=True)).astype(np.float32),
         logit_opacities=logits(np.round(255 * expit(gaussians.logit_opacities)) / 255),
         sh=sh,
     )
-    return Exported(rounded, rows)
 
 
 def splat(gaussians: Gaussians, rng: np.random.Generator) -> Exported:
@@ -196,8 +189,7 @@ def streamed(gaussians: Gaussians, rng: np.random.Generator) -> Exported:
     """The chunks of a streamed scene, each with palettes of its own, one after the other."""
     parts = np.array_split(morton_order(np.asarray(gaussians.means)), CHUNKS)
     chunks = [palettes(gaussians.take(rows), rng) for rows in parts]
-    rows = [part[chunk.rows] for part, chunk in zip(parts, chunks, strict=True)]
-    return Exported(concatenate([chunk.gaussians for chunk in chunks]), np.concatenate(rows))
+    return Exported(concatenate(chunks), np.concatenate(parts))
 
 
 def _gsply():
@@ -222,55 +214,24 @@ def _as_gsply(gaussians: Gaussians):
 def _codebook(values: np.ndarray) -> np.ndarray:
     """Values rounded to `CODEBOOK` numbers: quantiles, improved by Lloyd's method."""
     flat = values.ravel()
-    sample = flat[:: -(-len(flat) // SAMPLE)]
-    entries = np.quantile(sample, (np.arange(CODEBOOK) + 0.5) / CODEBOOK)
+
+    def nearest(entries: np.ndarray) -> np.ndarray:
+        return np.searchsorted((entries[1:] + entries[:-1]) / 2, flat)
+
+    entries = np.quantile(flat, (np.arange(CODEBOOK) + 0.5) / CODEBOOK)
     for _ in range(LLOYD_STEPS):
-        index = _nearest(sample, entries)
-        counts, sums = (np.bincount(index, weights, CODEBOOK) for weights in (None, sample))
+        index = nearest(entries)
+        counts, sums = (np.bincount(index, weights, CODEBOOK) for weights in (None, flat))
         entries = np.where(counts > 0, sums / np.maximum(counts, 1), entries)
-    return entries[_nearest(flat, entries)].reshape(values.shape).astype(np.float32)
-
-
-def _nearest(values: np.ndarray, entries: np.ndarray) -> np.ndarray:
-    return np.searchsorted((entries[1:] + entries[:-1]) / 2, values)
+    return entries[nearest(entries)].reshape(values.shape).astype(np.float32)
 
 
 def _palette(rows: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Rows (N, D) replaced by entries of a palette, which come from a codebook.
+    """Rows (N, D) replaced by the nearest of at most `PALETTE` of them."""
+    from scipy.cluster.vq import vq
 
-    The k-means is of two levels: one of the rows, and one within each cluster.
-    """
-    units = 2 ** int(np.log2(max(1, len(rows) / PALETTE_UNIT)))
-    size = min(PALETTE_UNIT * units, MAX_PALETTE)
-    coarse = _clusters(rows, int(size**0.5), rng)[0]
-    index, entries = np.empty(len(rows), int), []
-    for cluster in np.split(np.argsort(coarse), np.cumsum(np.bincount(coarse))[:-1]):
-        count = max(1, len(cluster) * size // len(rows))
-        fine, means = _clusters(rows[cluster], count, rng)
-        index[cluster] = fine + sum(map(len, entries))
-        entries.append(means)
-    return _codebook(np.concatenate(entries))[index]
-
-
-def _clusters(
-    rows: np.ndarray, count: int, rng: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray]:
-    """Cluster of each row (N, D), (N,), and the means of at most `count` clusters, by k-means."""
-    sample = rows[rng.permutation(len(rows))[: SAMPLE_PER_CLUSTER * count]]
-    means = sample[:count]
-    for _ in range(PALETTE_STEPS):
-        index = _nearest_rows(sample, means)
-        _, starts, counts = np.unique(np.sort(index), return_index=True, return_counts=True)
-        sums = np.add.reduceat(sample[np.argsort(index)], starts)
-        means = (sums / counts[:, None]).astype(np.float32)
-    used, index = np.unique(_nearest_rows(rows, means), return_inverse=True)
-    return index, means[used]
-
-
-def _nearest_rows(rows: np.ndarray, means: np.ndarray) -> np.ndarray:
-    """Index of the nearest of M means for each row; a product of matrices takes most of it."""
-    lengths = (means**2).sum(axis=1) / 2
-    return in_blocks(lambda part: np.argmax(part @ means.T - lengths, axis=1), rows)
+    entries = rows[rng.permutation(len(rows))[:PALETTE]]
+    return entries[vq(rows, entries)[0]]
 
 
 EXPORTERS: dict[str, Exporter] = {
@@ -278,7 +239,7 @@ EXPORTERS: dict[str, Exporter] = {
     "float": _same_rows(functools.partial(requantised, rounded=False)),
     "spz": _same_rows(spz),
     "compressed.ply": compressed_ply,
-    "palettes": palettes,
+    "palettes": _same_rows(palettes),
     "splat": splat,
     "no harmonics": _same_rows(without_harmonics),
     "streamed": streamed,

@@ -11,16 +11,12 @@ import numpy as np
 from scipy.special import expit, logit
 
 from gsc_jax.benchmark.incorporation import transformed
-from gsc_jax.benchmark.scenes import concatenate
 from gsc_jax.scene import Gaussians
 
 OPACITY_STEP = 1 / 255
 """Step of opacities in 8 bits."""
 MIN_OPACITY = 0.05
 """Opacity below which Gaussians are pruned."""
-MERGED_DISTANCE = 5
-"""Largest distance of the centres of a merged pair, in units of the mean of their largest scales:
-beyond it, one Gaussian would cover what lies between them."""
 
 
 def moved(gaussians: Gaussians, rng: np.random.Generator) -> Gaussians:
@@ -41,26 +37,13 @@ def cropped(gaussians: Gaussians, rng: np.random.Generator) -> np.ndarray:
 
 
 def level_of_detail(gaussians: Gaussians) -> tuple[Gaussians, np.ndarray]:
-    """Merge pairs of Gaussians that are neighbours in Morton order and close; keep the others.
+    """Merge pairs of Gaussians that are neighbours in Morton order; the last of an odd number goes.
 
     A merged Gaussian has the mean and covariance of the pair, weighted by opacity times area, and
-    the sum of these products. Returns M Gaussians in Morton order, and the row of each, or of the
-    heavier one of its pair, (M,).
+    the sum of these products. Returns the M merged Gaussians, and the row of the heavier one of
+    each pair, (M,).
     """
-    curve = morton_order(np.asarray(gaussians.means))
-    pairs = curve[: len(curve) // 2 * 2].reshape(-1, 2)
-    distances = np.linalg.norm(np.diff(np.asarray(gaussians.means)[pairs], axis=1)[:, 0], axis=1)
-    sizes = np.exp(np.asarray(gaussians.log_scales).max(axis=1))[pairs].mean(axis=1)
-    order = pairs[distances <= MERGED_DISTANCE * sizes]
-    merged, first = _merged(gaussians, order)
-    single = curve[~np.isin(curve, order)]
-    rows = np.concatenate([first, single])
-    along = np.argsort(np.argsort(curve)[rows])
-    return concatenate([merged, gaussians.take(single)]).take(along), rows[along]
-
-
-def _merged(gaussians: Gaussians, order: np.ndarray) -> tuple[Gaussians, np.ndarray]:
-    """One Gaussian per pair of rows (M, 2), and the row of the heavier one of each pair, (M,)."""
+    order = morton_order(np.asarray(gaussians.means))[: len(gaussians) // 2 * 2].reshape(-1, 2)
     opacities = expit(np.asarray(gaussians.logit_opacities, np.float64))
     masses = (opacities * _area(np.asarray(gaussians.log_scales)))[order] + 1e-30
     weights = masses / masses.sum(axis=1, keepdims=True)

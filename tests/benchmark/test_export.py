@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from strategies import random_scene, with_row
 
-from gsc_jax.benchmark.export import CODEBOOK, COLOUR_STEP, EXPORTERS, SCALE_STEP, _palette, export
+from gsc_jax.benchmark.export import CODEBOOK, COLOUR_STEP, EXPORTERS, SCALE_STEP, export
 from gsc_jax.benchmark.histories import MIN_OPACITY, level_of_detail, morton_order
 from gsc_jax.benchmark.scenes import make_room, room_cameras
 from gsc_jax.benchmark.similarity import psnr
@@ -77,34 +77,6 @@ def test_rows_that_are_selected_stay_as_they_are():
 def test_a_palette_has_few_entries_and_chunks_have_their_own():
     one, chunked = (requantised(ROOM, name) for name in ("palettes", "streamed"))
     assert len(np.unique(one.log_scales)) <= CODEBOOK < len(np.unique(chunked.log_scales))
-
-
-def test_a_palette_is_of_means_and_as_large_as_that_of_the_tool():
-    rng = np.random.default_rng(0)
-    rows = (rng.normal(size=(9_000, 6)) @ rng.normal(size=(6, 45))).astype(np.float32)
-    found = _palette(rows, rng)
-    assert 7_000 < len(np.unique(found, axis=0)) <= 8 * 1024
-    assert len(np.unique(found)) <= CODEBOOK
-    few = np.repeat(rows[:300], 30, axis=0)
-    error = np.mean((_palette(few, rng) - few) ** 2)
-    assert error < 1e-3 * np.mean(few**2), "the rows of a few clusters are not their means"
-
-
-def test_formats_of_the_web_are_in_morton_order():
-    _, rows = export(ROOM, "palettes")
-    np.testing.assert_array_equal(rows, morton_order(np.asarray(ROOM.means)))
-
-
-def test_only_close_gaussians_are_merged():
-    scene = random_scene(6)
-    scene.log_scales[:] = np.log(0.1)
-    scene.means[:] = [[0, 0, 0], [0.1, 0, 0], [0.2, 0, 0], [5, 0, 0], [9, 0, 0], [9.2, 0, 0]]
-    merged, rows = level_of_detail(scene)
-    assert len(merged) == len(rows) == 4
-    np.testing.assert_allclose(np.asarray(merged.means)[1:3], [[0.2, 0, 0], [5, 0, 0]], atol=1e-6)
-    assert rows[1:3].tolist() == [2, 3]
-    np.testing.assert_array_equal(np.asarray(merged.sh)[1:3], scene.sh[2:4])
-    assert np.exp(merged.log_scales).max() < 0.2
 
 
 def test_morton_order_keeps_neighbours_together():

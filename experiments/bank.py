@@ -10,14 +10,16 @@ import functools
 from pathlib import Path
 from typing import Literal
 
+import jax
 import numpy as np
 from cases import DATA, Scene, available, load_scene, pruned
 from cut_object import cut_object
+from garden import make_garden
 
 from gsc_jax import load_cameras, load_ply
 from gsc_jax.benchmark.export import EXPORTERS, export
 from gsc_jax.benchmark.optimised import laundered
-from gsc_jax.benchmark.scenes import make_object
+from gsc_jax.benchmark.scenes import make_object, make_room
 from gsc_jax.benchmark.tamper import Edit, Program, tamper
 from gsc_jax.scene import Gaussians
 
@@ -31,8 +33,14 @@ LAUNDERED = 0.25
 OPTIMISED = 0.5
 """Share of the modifications and removals of captures that are made as optimising editors do."""
 MAX_HOST = 60_000
-"""Gaussians of a host whose edits may be optimised, which takes minutes for large ones."""
-NO_EDIT = "none"
+"""Gaussians of a host whose edits may be optimised, which takes minutes for large ones, and of a
+part of a host."""
+PROGRAM_SEEDS = 2
+"""Seeds with whole hosts and the programs of editors; the others have parts and quick edits."""
+FIRST_SEED = 1000
+Kind = Edit | Literal["none"]
+NO_EDIT: Literal["none"] = "none"
+MADE_HOSTS = {"room": make_room, "garden": make_garden}
 PROGRAMS: dict[str, Program] = {"modification": "optimisation", "removal": "inpainting"}
 
 
@@ -84,11 +92,19 @@ def load_host(name: str, bank: Path, data: Path = DATA) -> Scene:
     return Scene(name=name, gaussians=gaussians, cameras=others, heldout=heldout)
 
 
+def drawn_host(scene: Scene, seed: int, rng: np.random.Generator) -> Gaussians:
+    """A made scene of the seed, or the `MAX_HOST` Gaussians of a box around a random one."""
+    if scene.name in MADE_HOSTS:
+        return jax.tree.map(np.asarray, MADE_HOSTS[scene.name](seed=seed))
+    gaussians, means = scene.gaussians, np.asarray(scene.gaussians.means)
+    apart = np.abs(means - means[rng.integers(len(means))]).max(axis=1)
+    return gaussians.take(np.sort(np.argsort(apart)[:MAX_HOST]))
+
+
 def draw_donor(
-    host: str, bank: Path, data: Path, rng: np.random.Generator
+    host: str, count: int, bank: Path, data: Path, rng: np.random.Generator
 ) -> tuple[str, Gaussians]:
-    """Draw an object of another source than the host, with at most a quarter of its count."""
-    limit = len(load_host(host, bank, data).gaussians) // 4
+    """Draw an object of another source than the host, with at most `count` Gaussians."""
     captured, scanned = captures(bank, (*OBJECTS, "vase")), [*OBJECTS] if data.is_dir() else []
     others = [name for name in hosts(bank, data) if source_of(name) != source_of(host)]
     kind, seed = rng.integers(3), int(rng.integers(2**31))
@@ -99,31 +115,31 @@ def draw_donor(
     if name == "vase":
         return name, make_object(seed=seed)
     path = bank / name / "scene.ply" if "-" in name else data / "objects" / f"{name}.ply"
-    return name, pruned(load_ply(path), limit)
+    return name, pruned(load_ply(path), count)
 
 
-def bank_case(
-    host: str, edit: Edit | Literal["none"], seed: int, bank: Path = BANK, data: Path = DATA
-) -> BankCase:
+def bank_case(host: str, edit: Kind, seed: int, bank: Path = BANK, data: Path = DATA) -> BankCase:
     """Draw a case.
 
     Raises:
         InputError: if the host has no place for such an edit.
     """
     scene, rng = load_host(host, bank, data), np.random.default_rng([seed, *host.encode()])
-    gaussians, labels = scene.gaussians, np.zeros(len(scene.gaussians), bool)
+    quick = seed >= FIRST_SEED + PROGRAM_SEEDS
+    gaussians = drawn_host(scene, seed, rng) if quick else scene.gaussians
+    labels = np.zeros(len(gaussians), bool)
     sources, how = {source_of(host)}, []
     if edit != NO_EDIT:
         change: Edit | Program | Gaussians = edit
         if edit == "incorporation":
-            name, change = draw_donor(host, bank, data, rng)
+            name, change = draw_donor(host, len(gaussians) // 4, bank, data, rng)
             sources.add(source_of(name))
-        elif len(gaussians) < MAX_HOST and rng.random() < OPTIMISED:
+        elif not quick and len(gaussians) < MAX_HOST and rng.random() < OPTIMISED:
             change = PROGRAMS[edit]
         edited = tamper(gaussians, scene.cameras, change, seed=seed)
         gaussians, labels = edited.gaussians, edited.labels
         how.append(edited.description)
-        if len(gaussians) < MAX_HOST and rng.random() < LAUNDERED:
+        if not quick and len(gaussians) < MAX_HOST and rng.random() < LAUNDERED:
             gaussians = laundered(gaussians, scene.cameras)
             how.append("laundered")
     exporter = str(rng.choice(list(EXPORTERS)))

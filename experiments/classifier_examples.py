@@ -1,87 +1,89 @@
 """Training examples of the classifier: features of Gaussians of edited scenes, with labels.
 
-The seeds differ from those of the tables, and every scene is requantised, so that host and pasted
-object have the same digits.
+The cases are those of `bank.py`; the tables use other edits, and other objects where it matters.
 """
 
 import dataclasses
 from pathlib import Path
 
 import numpy as np
-from cases import CUT, donor_name, edit_scene
+from bank import BankCase, Kind, bank_case
 
-from gsc_jax.benchmark.export import export
 from gsc_jax.benchmark.tamper import Edit
-from gsc_jax.forensics.features import compute_features
+from gsc_jax.forensics.features import compute_features, with_finite_scales
 from gsc_jax.io.files import atomic
-from gsc_jax.scene import Gaussians
+from gsc_jax.scene import InputError
 
-FIRST_SEED = 10
-"""First seed; the tables use seeds 0 to 2."""
-MAX_TAMPERED, MAX_AUTHENTIC = 4000, 8000
+MAX_TAMPERED, MAX_AUTHENTIC = 3000, 6000
 """Gaussians per case."""
+RETRY, RETRIES = 10_000, 3
+"""Step and number of the seeds that are tried where a host has no place for an edit."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Examples:
     """Features (M, F) float16 and labels (M,) of a sample of a case.
 
-    `scenes` are the edited scene and the one that a pasted object was cut from; `share` is the
-    share of all its Gaussians that are tampered.
+    `sources` are what the host and a pasted object are captures of; `share` is the share of all its
+    Gaussians that are tampered, which is 0 if the host has no place for such an edit.
     """
 
-    scene: str
+    host: str
     edit: str
-    scenes: frozenset[str]
+    sources: frozenset[str]
     values: np.ndarray
     labels: np.ndarray
     share: float
     names: tuple[str, ...]
 
 
-def requantised(gaussians: Gaussians, seed: int) -> Gaussians:
-    """The scene as an export stores it, with 8 bits for even seeds and noise for odd ones."""
-    return export(gaussians, ("8 bits", "float")[seed % 2], seed=seed).gaussians
+def draw_case(host: str, edit: Kind, seed: int, bank: Path, data: Path) -> BankCase | None:
+    """Draw a case of the bank, or None if the host has no place for such an edit."""
+    for retry in range(RETRIES):
+        try:
+            return bank_case(host, edit, seed + RETRY * retry, bank, data)
+        except InputError:
+            continue
+    return None
 
 
-def make_examples(scene: str, edit: Edit, seed: int, data: Path, keep: Path) -> Examples:
+def make_examples(host: str, edit: Edit, seed: int, bank: Path, data: Path, keep: Path) -> Examples:
     """Compute the features of a sample of a case, or read them from a file in `keep`."""
-    path = keep / f"{scene}-{edit}-{seed}.npz"
-    if path.exists():
-        return read_examples(path)
-    case = edit_scene(scene, edit, seed, data)
-    rng = np.random.default_rng(seed)
-    features = compute_features(requantised(case.gaussians, seed))
-    tampered, authentic = np.flatnonzero(case.labels), np.flatnonzero(~case.labels)
-    sample = [rng.permutation(tampered)[:MAX_TAMPERED], rng.permutation(authentic)[:MAX_AUTHENTIC]]
-    rows = np.concatenate(sample)
-    with atomic(path) as temporary, temporary.open("wb") as file:
-        np.savez(
-            file,
-            values=features.values[rows].astype(np.float16),
-            labels=case.labels[rows],
-            share=case.labels.mean(),
-            names=np.array(features.names),
-        )
+    path = keep / f"{host}_{edit}_{seed}.npz"
+    if not path.exists():
+        case = draw_case(host, edit, seed, bank, data)
+        arrays = _sampled(case) if case else {"share": np.array(0.0)}
+        with atomic(path) as temporary, temporary.open("wb") as file:
+            np.savez(file, allow_pickle=False, **arrays)
     return read_examples(path)
 
 
+def _sampled(case: BankCase) -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(0)
+    features = compute_features(with_finite_scales(case.gaussians))
+    tampered, authentic = np.flatnonzero(case.labels), np.flatnonzero(~case.labels)
+    sample = [rng.permutation(tampered)[:MAX_TAMPERED], rng.permutation(authentic)[:MAX_AUTHENTIC]]
+    rows = np.concatenate(sample)
+    return {
+        "values": features.values[rows].astype(np.float16),
+        "labels": case.labels[rows],
+        "share": case.labels.mean(),
+        "names": np.array(features.names),
+        "sources": np.array(sorted(case.sources)),
+    }
+
+
 def read_examples(path: Path) -> Examples:
-    """Read examples; the name of the file holds scene, edit and seed."""
-    scene, edit, seed = path.stem.split("-")
+    """Read examples; the name of the file holds host and edit."""
+    host, edit, _ = path.stem.rsplit("_", 2)
     with np.load(path) as stored:
+        found = bool(stored["share"] > 0)
         return Examples(
-            scene=scene,
+            host=host,
             edit=edit,
-            scenes=scenes_in(scene, edit, int(seed)),
-            values=stored["values"],
-            labels=stored["labels"],
+            sources=frozenset(stored["sources"].tolist() if found else ()),
+            values=stored["values"] if found else np.zeros((0, 0), np.float16),
+            labels=stored["labels"] if found else np.zeros(0, bool),
             share=float(stored["share"]),
-            names=tuple(stored["names"].tolist()),
+            names=tuple(stored["names"].tolist() if found else ()),
         )
-
-
-def scenes_in(scene: str, edit: str | None, seed: int) -> frozenset[str]:
-    """The scene of a case and the one that a pasted object was cut from."""
-    pasted = donor_name(scene, seed) if edit == "incorporation" else ""
-    return frozenset({scene, pasted.removeprefix(CUT)} if pasted.startswith(CUT) else {scene})

@@ -14,7 +14,8 @@ from pathlib import Path
 import charts
 import numpy as np
 import pandas as pd
-from classifier_examples import FIRST_SEED, Examples, read_examples
+from bank import FIRST_SEED, source_of
+from classifier_examples import Examples, read_examples
 from matplotlib import pyplot as plt
 from native import NativeArgs, classifier_without
 from runner import measured, start
@@ -32,12 +33,12 @@ SEEDS = range(FIRST_SEED, FIRST_SEED + 6)
 
 def rows_of(path: Path, keep: Path) -> Iterator[Row]:
     """Measure the AUC of one case, with every group shuffled in turn."""
-    scene, edit, seed = path.stem.split("-")
-    case, classifier = read_examples(path), classifier_without(scene, keep)
+    host, edit, seed = path.stem.rsplit("_", 2)
+    case, classifier = read_examples(path), classifier_without(source_of(host), keep)
     whole = _auc(case, classifier, NOTHING)
     for group in (NOTHING, *dict.fromkeys(name.split(".")[0] for name in case.names)):
         value = _auc(case, classifier, group)
-        key = {"scene": scene, "edit": edit, "seed": int(seed), "shuffled": group}
+        key = {"scene": host, "edit": edit, "seed": int(seed), "shuffled": group}
         yield {**key, "auc": value, "loss": whole - value}
 
 
@@ -51,14 +52,15 @@ def _auc(case: Examples, classifier: Classifier, group: str) -> float:
 
 def all_rows(args: NativeArgs) -> Iterator[Iterator[Row]]:
     """Measure every case of these seeds."""
-    paths = sorted(path for seed in SEEDS for path in args.keep.glob(f"*-*-{seed}.npz"))
+    paths = sorted(path for seed in SEEDS for path in args.keep.glob(f"*_*_{seed}.npz"))
     if not paths:
         raise InputError(
             f"{args.keep}: holds no examples; run experiments/train_classifier.py --keep "
             f"{args.keep} first"
         )
     for path in paths:
-        yield rows_of(path, args.keep)
+        if read_examples(path).share > 0:
+            yield rows_of(path, args.keep)
 
 
 def chart(rows: pd.DataFrame, path: Path) -> None:

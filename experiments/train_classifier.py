@@ -1,43 +1,54 @@
 """Train and calibrate the classifier of Gaussians, and for every scene one that never saw it.
 
+    python experiments/captures.py
     python experiments/train_classifier.py [--keep .cues] [--out gsc_jax/forensics/classifier.npz]
 
-The classifier of the package is trained on all scenes; the tables are measured with those that
-leave out a scene. A classifier is an ensemble of networks. It is calibrated on whole scenes, each
-by a network that was trained without that scene, too, and is slightly less sure than the ensemble.
+It learns of the cases of bank.py. The classifier of the package is trained on all sources; the
+tables are measured with those that leave out a scene and its captures. A classifier is an ensemble
+of networks. It is calibrated on whole cases, each by a network that was trained without its host,
+too, and is slightly less sure than the ensemble; so is the weight of the novelty chosen.
 """
 
 import dataclasses
 import itertools
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from cases import DATA, available, edit_scene, load_scene
-from classifier_examples import FIRST_SEED, Examples, make_examples, requantised, scenes_in
+from bank import BANK, FIRST_SEED, NO_EDIT, BankCase, Kind, hosts, source_of
+from cases import DATA, available
+from classifier_examples import Examples, draw_case, make_examples
 from runner import start
 from scipy.optimize import minimize
 from tqdm import tqdm
 
-from gsc_jax.benchmark.tamper import EDITS, Edit
+from gsc_jax.benchmark.tamper import EDITS
 from gsc_jax.forensics.calibration import peak_log_odds, scene_calibration
-from gsc_jax.forensics.classifier import Classifier, Layers, as_arrays, smoothed_log_odds
-from gsc_jax.forensics.features import MAX_DEVIATION, compute_features
+from gsc_jax.forensics.classifier import (
+    Classifier,
+    Layers,
+    as_arrays,
+    smoothed_log_odds,
+    smoothed_novelty,
+)
+from gsc_jax.forensics.features import MAX_DEVIATION, compute_features, with_finite_scales
 from gsc_jax.io.files import atomic
 from gsc_jax.scene import InputError
 
-SEEDS = {"incorporation": 18, "modification": 36, "removal": 12}
-"""Number of seeds per kind of edit: more for edits that are harder to detect."""
-CALIBRATION_SEEDS = 2
-"""Seeds of the whole scenes for calibration."""
+SEEDS = 10
+"""Seeds of each host and kind of edit."""
+CALIBRATION_SEEDS: dict[Kind, int] = {**dict.fromkeys(EDITS, 2), NO_EDIT: 8}
+"""Seeds of each host and kind of edit that calibrate; authentic ones differ in their history."""
 SAMPLE = 20_000
-"""Gaussians of a whole scene used for calibration."""
+"""Gaussians of a whole case used for calibration."""
 MEMBERS = 3
 """Networks of an ensemble."""
+FALSE_ALARMS = 0.05
+"""Share of the authentic cases of the calibration whose scene probability is 0.5 or more."""
 TAMPERED_SHARE = 0.3
 """Share of a batch that is tampered."""
 HIDDEN = (64, 32)
@@ -53,15 +64,17 @@ class Args:
     """Arguments of the training.
 
     Attributes:
-        share: Share of the seeds of each kind of edit, for a smaller run.
+        seeds: Seeds of each host and kind of edit.
         data: The real scenes.
+        bank: The captures; without them only scenes of cases.py are edited.
         keep: Folder of the features, for a second run, and of the classifiers that leave out a
             scene. Remove it after a change of the features.
         out: File of the classifier of the package.
     """
 
-    share: float = 1.0
+    seeds: int = SEEDS
     data: Path = DATA
+    bank: Path = BANK
     keep: Path = Path(".cues")
     out: Path = Path("gsc_jax/forensics/classifier.npz")
 
@@ -139,7 +152,7 @@ def train_networks(
     jobs = [some for some in left_out for _ in range(MEMBERS if len(some) < 2 else 1)]
     networks: dict[frozenset[str], Networks] = {}
     for seed, some in enumerate(tqdm(jobs, desc="networks", disable=None)):
-        own = [case for case in cases if not case.scenes & some]
+        own = [case for case in cases if not case.sources & some]
         networks[some] = (*networks.get(some, ()), train_network(own, seed=seed))
     return networks
 
@@ -160,83 +173,106 @@ def make_fold(
     heldout: str | None, cases: Sequence[Examples], networks: Mapping[frozenset[str], Networks]
 ) -> Fold:
     """Fold with a classifier that is not calibrated yet."""
-    cases = [case for case in cases if heldout not in case.scenes]
+    cases = [case for case in cases if heldout not in case.sources]
     weights = balanced_weights([case.edit for case in cases])
     share = float(weights @ [case.share for case in cases])
     without = frozenset([heldout] if heldout else [])
     classifier = Classifier(
         networks=networks[without],
         names=cases[0].names,
+        novelty=1.0,
         calibration=(1.0, 0.0),
         base=float(np.log(share / (1 - share))),
         scene=(1.0, 0.0),
     )
-    others = {scene: networks[without | {scene}][0] for scene in {case.scene for case in cases}}
+    scenes = {source_of(case.host) for case in cases}
+    others = {scene: networks[without | {scene}][0] for scene in scenes}
     return Fold(heldout=heldout, classifier=classifier, others=others)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class SceneOutput:
-    """Smoothed raw log odds and labels (M,) of a sample of a scene, and its peak log odds."""
+    """Output of the networks, novelty and labels (N,) of a whole case, and its centres (N, 3)."""
 
-    edit: Edit | None
-    raw: np.ndarray
+    edit: str
+    networks: np.ndarray
+    novelty: np.ndarray
     labels: np.ndarray
-    peak: float
+    means: np.ndarray
+
+    def raw(self, classifier: Classifier) -> np.ndarray:
+        """Raw log odds, as in `combined_log_odds`, shape (N,)."""
+        return self.networks + classifier.novelty * self.novelty
 
 
 def scene_outputs(
-    scene: str, edit: Edit | None, seed: int, args: Args, folds: Sequence[Fold]
+    case: BankCase, host: str, folds: Sequence[Fold]
 ) -> dict[str | None, SceneOutput]:
-    """Outputs for a whole scene by the held-out scene of each fold that did not see it."""
-    gaussians = load_scene(scene, args.data).gaussians
-    labels = np.zeros(len(gaussians), bool)
-    if edit:
-        edited = edit_scene(scene, edit, seed, args.data)
-        gaussians, labels = edited.gaussians, edited.labels
-    features = compute_features(requantised(gaussians, seed))
-    rows = np.random.default_rng(seed).permutation(len(labels))[:SAMPLE]
-    outputs = {}
+    """Outputs for a whole case by the held-out scene of each fold that did not see its sources."""
+    features = compute_features(with_finite_scales(case.gaussians))
+    means = np.asarray(case.gaussians.means, np.float32)
+    novelty, outputs = smoothed_novelty(features, means), {}
     for fold in folds:
-        if fold.heldout not in scenes_in(scene, edit, seed):
-            one = dataclasses.replace(fold.classifier, networks=(fold.others[scene],))
-            raw = smoothed_log_odds(features, one)
-            peak = peak_log_odds(raw, np.asarray(gaussians.means))
+        if fold.heldout not in case.sources:
+            one = dataclasses.replace(fold.classifier, networks=(fold.others[source_of(host)],))
             outputs[fold.heldout] = SceneOutput(
-                edit=edit, raw=raw[rows], labels=labels[rows], peak=peak
+                edit=case.edit,
+                networks=smoothed_log_odds(features, one),
+                novelty=novelty,
+                labels=case.labels,
+                means=means,
             )
     return outputs
 
 
 def logistic_fit(
     values: np.ndarray, labels: np.ndarray, weights: np.ndarray, damping: float = 1e-4
-) -> tuple[float, float]:
-    """Factor and shift from values to log odds of the labels, by weighted logistic regression."""
+) -> np.ndarray:
+    """Factors (D,) and shift from values (M, D) to log odds of the labels, shape (D + 1,).
+
+    By weighted logistic regression.
+    """
 
     def loss(line: np.ndarray) -> float:
-        log_odds = line[0] * values + line[1]
+        log_odds = values @ line[:-1] + line[-1]
         losses = np.logaddexp(0, np.where(labels, -log_odds, log_odds))
-        return float(np.average(losses, weights=weights) + damping * line[0] ** 2)
+        return float(np.average(losses, weights=weights) + damping * (line[:-1] ** 2).sum())
 
-    factor, shift = minimize(loss, np.array([1.0, 0.0]), method="Nelder-Mead").x
-    return float(factor), float(shift)
+    return minimize(loss, np.append(np.ones(values.shape[1]), 0.0), method="Nelder-Mead").x
 
 
 def calibrated(classifier: Classifier, outputs: Sequence[SceneOutput]) -> Classifier:
-    """The classifier calibrated for Gaussians of edited scenes, and for scenes."""
-    edited = [one for one in outputs if one.edit]
-    weights = balanced_weights([str(one.edit) for one in edited])
-    per_row = [np.full(len(o.raw), w / len(o.raw)) for o, w in zip(edited, weights, strict=True)]
-    raw, labels = (np.concatenate([getattr(o, name) for o in edited]) for name in ("raw", "labels"))
-    line = logistic_fit(raw, labels, np.concatenate(per_row))
-    classifier = dataclasses.replace(classifier, calibration=line)
-    lines = [scene_calibration(one.raw, classifier) for one in outputs]
-    peaks = [factor * o.peak + shift for (factor, shift), o in zip(lines, outputs, strict=True)]
-    is_edited = np.array([one.edit is not None for one in outputs])
+    """The classifier with the weight of the novelty, calibrated for Gaussians and for scenes."""
+    factor, novelty, shift = _gaussian_fit([one for one in outputs if one.edit != NO_EDIT])
+    classifier = dataclasses.replace(
+        classifier, novelty=float(novelty / factor), calibration=(float(factor), float(shift))
+    )
+    peaks = np.array([[_calibrated_peak(one, classifier)] for one in outputs])
+    is_edited = np.array([one.edit != NO_EDIT for one in outputs])
     # The prior probability that a scene was edited is one half.
     weights = np.where(is_edited, 1 / is_edited.sum(), 1 / (~is_edited).sum())
-    scene = logistic_fit(np.array(peaks), is_edited, weights, damping=1e-2)
-    return dataclasses.replace(classifier, scene=scene)
+    factor = float(logistic_fit(peaks, is_edited, weights, damping=1e-2)[0])
+    level = float(np.quantile(peaks[~is_edited], 1 - FALSE_ALARMS))
+    return dataclasses.replace(classifier, scene=(factor, -factor * level))
+
+
+def _gaussian_fit(edited: Sequence[SceneOutput]) -> np.ndarray:
+    """Factors of networks and novelty, and shift, from a sample of each edited case."""
+    values, labels, weights = [], [], []
+    balanced = balanced_weights([one.edit for one in edited])
+    for k, (one, weight) in enumerate(zip(edited, balanced, strict=True)):
+        rows = np.random.default_rng(k).permutation(len(one.labels))[:SAMPLE]
+        values.append(np.column_stack([one.networks, one.novelty])[rows])
+        labels.append(one.labels[rows])
+        weights.append(np.full(len(rows), weight / len(rows)))
+    columns, targets = np.concatenate(values), np.concatenate(labels)
+    return logistic_fit(columns, targets, np.concatenate(weights))
+
+
+def _calibrated_peak(output: SceneOutput, classifier: Classifier) -> float:
+    raw = output.raw(classifier)
+    factor, shift = scene_calibration(raw, classifier)
+    return factor * peak_log_odds(raw, output.means) + shift
 
 
 def save(path: Path, classifier: Classifier) -> None:
@@ -249,29 +285,39 @@ def save(path: Path, classifier: Classifier) -> None:
 def main(args: Args) -> None:
     """Compute the features, train the networks, calibrate and store the classifiers."""
     args.keep.mkdir(parents=True, exist_ok=True)
-    scenes = available(args.data)
+    scenes, names = available(args.data), hosts(args.bank, args.data)
     if len(scenes) < 3:
         raise InputError(
             f"{args.data}: no scenes; leaving out two of {len(scenes)} leaves none to train on. "
             "Get the real scenes, or use the classifier that comes with the package"
         )
-    jobs: list[tuple[str, Edit, int]] = [
-        (scene, edit, FIRST_SEED + k)
-        for scene, edit in itertools.product(scenes, EDITS)
-        for k in range(max(1, round(args.share * SEEDS[edit])))
-    ]
+    jobs = list(itertools.product(names, EDITS, range(FIRST_SEED, FIRST_SEED + args.seeds)))
     progress = tqdm(jobs, desc="cases", disable=None)
-    cases = [make_examples(*job, args.data, args.keep) for job in progress]
+    made = [make_examples(*job, args.bank, args.data, args.keep) for job in progress]
+    cases = [case for case in made if case.share > 0]
     networks = train_networks(cases, scenes)
     folds = [make_fold(heldout, cases, networks) for heldout in (None, *scenes)]
-    seeds = range(FIRST_SEED, FIRST_SEED + CALIBRATION_SEEDS)
-    whole = list(itertools.product(scenes, (*EDITS, None), seeds))
-    progress = tqdm(whole, desc="whole scenes", disable=None)
-    outputs = [scene_outputs(*job, args, folds) for job in progress]
+    outputs = list(whole_outputs(names, folds, args))
     for fold in folds:
         own = [by[fold.heldout] for by in outputs if fold.heldout in by]
         path = args.keep / f"without-{fold.heldout}.npz" if fold.heldout else args.out
         save(path, calibrated(fold.classifier, own))
+
+
+def whole_outputs(
+    names: Sequence[str], folds: Sequence[Fold], args: Args
+) -> Iterator[dict[str | None, SceneOutput]]:
+    """Yield the outputs for whole cases of each host, edited and not."""
+    jobs: list[tuple[str, Kind, int]] = [
+        (host, edit, FIRST_SEED + k)
+        for host in names
+        for edit, count in CALIBRATION_SEEDS.items()
+        for k in range(count)
+    ]
+    for host, edit, seed in tqdm(jobs, desc="whole cases", disable=None):
+        case = draw_case(host, edit, seed, args.bank, args.data)
+        if case:
+            yield scene_outputs(case, host, folds)
 
 
 if __name__ == "__main__":

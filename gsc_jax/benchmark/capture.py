@@ -38,8 +38,6 @@ RESETS = (0.25, 0.45)
 """Shares of the steps at which adaptive density control resets opacities."""
 REGULARISATION = 0.01
 """Weight of the mean opacity and of the mean scale in the loss of MCMC."""
-
-
 RANGES: dict[str, tuple[float, float]] = {
     "iterations": (1, 10**9),
     "budget": (8, 10**9),

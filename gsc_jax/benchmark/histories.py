@@ -12,6 +12,7 @@ from scipy.special import expit, logit
 
 from gsc_jax.benchmark.incorporation import transformed
 from gsc_jax.scene import Gaussians
+from gsc_jax.scene.gaussians import rotation_matrices
 
 OPACITY_STEP = 1 / 255
 """Step of opacities in 8 bits."""
@@ -53,7 +54,7 @@ def level_of_detail(gaussians: Gaussians) -> tuple[Gaussians, np.ndarray]:
 
     means = np.asarray(gaussians.means, np.float64)[order]
     offsets = means - mean(means)[:, None]
-    axes = _matrices(gaussians)[order] * np.exp(gaussians.log_scales)[order][..., None, :]
+    axes = rotation_matrices(gaussians)[order] * np.exp(gaussians.log_scales)[order][..., None, :]
     covariances = axes @ axes.swapaxes(-1, -2) + offsets[..., None] * offsets[..., None, :]
     log_scales, quats = _axes(mean(covariances))
     first = np.take_along_axis(order, weights.argmax(axis=1)[:, None], axis=1)[:, 0]
@@ -90,12 +91,6 @@ def _area(log_scales: np.ndarray) -> np.ndarray:
     """Mean of the areas of the three sections through the axes, (N,), up to a factor."""
     scales = np.exp(np.asarray(log_scales, np.float64))
     return (scales * np.roll(scales, 1, axis=1)).sum(axis=1)
-
-
-def _matrices(gaussians: Gaussians) -> np.ndarray:
-    from scipy.spatial.transform import Rotation
-
-    return Rotation.from_quat(unit_quats(gaussians), scalar_first=True).as_matrix()
 
 
 def _axes(covariances: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

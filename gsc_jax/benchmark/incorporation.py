@@ -62,6 +62,8 @@ def paste_object(
     donor: Gaussians,
 ) -> ProposedEdit:
     """Paste an object so that it covers `size`, a median share of the pixels; its rows are last."""
+    from scipy.spatial.transform import Rotation
+
     low, high = extent(donor)
     foot, (width, height, depth) = foot_of(low, high), high - low
     radius = 0.5 * np.hypot(width, depth)
@@ -74,7 +76,8 @@ def paste_object(
     if cost > MAX_COST:
         raise EditRejected("no level and free ground is in view")
     angle = rng.uniform(0, 360)
-    rotation = rotation_between(np.array([0, -1.0, 0]), visibility.up) @ _about_y(np.radians(angle))
+    turn = Rotation.from_euler("y", angle, degrees=True).as_matrix()
+    rotation = rotation_between(np.array([0, -1.0, 0]), visibility.up) @ turn
     donor = _with_quaternion_lengths_of(gaussians, donor)
     labels = np.arange(len(gaussians) + len(donor)) >= len(gaussians)
 
@@ -162,18 +165,7 @@ def rotation_between(start: np.ndarray, end: np.ndarray) -> np.ndarray:
     """Shortest rotation that maps one unit vector to another, shape (3, 3)."""
     from scipy.spatial.transform import Rotation
 
-    axis = np.cross(start, end)
-    sine, cosine = np.linalg.norm(axis), start @ end
-    if sine < 1e-9:
-        # Opposite directions: any half turn about an axis across them.
-        across = np.linalg.svd(start[None])[2][1]
-        return Rotation.from_rotvec(np.pi * across * (cosine < 0)).as_matrix()
-    return Rotation.from_rotvec(np.arctan2(sine, cosine) * axis / sine).as_matrix()
-
-
-def _about_y(angle: float) -> np.ndarray:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+    return Rotation.align_vectors(end, start)[0].as_matrix()
 
 
 def with_degree(gaussians: Gaussians, degree: int) -> Gaussians:

@@ -44,11 +44,8 @@ def inpaint_region(
     region = grow_region(gaussians, visibility, draw_seeds(visibility, 1, rng)[0], size)
     removed = np.zeros(len(gaussians), bool)
     removed[region.rows] = True
-    rest, cameras, near = (
-        gaussians.take(np.flatnonzero(~removed)),
-        visibility.cameras,
-        visibility.near,
-    )
+    cameras, near = visibility.cameras, visibility.near
+    rest = gaussians.take(np.flatnonzero(~removed))
     shares = [rendered_share(gaussians, camera, removed, near=near) for camera in cameras]
     holes = np.stack(shares) > HOLE_SHARE
     best = int(holes.sum(axis=(1, 2)).argmax())

@@ -110,22 +110,20 @@ def false_positive_area(predictions: Sequence[Array]) -> np.ndarray:
 def auc(scores: Array, truth: Array) -> float:
     """Probability that a tampered entry scores above an authentic one, ties counted half.
 
-    This is the area under the ROC curve, computed as Mann and Whitney's U; NaN if all entries are
+    This is the area under the ROC curve, Mann and Whitney's U by pair; NaN if all entries are
     of one kind. Other shapes than those of the truth, and NaN scores, raise ValueError.
     """
-    from scipy.stats import rankdata
+    from scipy.stats import mannwhitneyu
 
     scores, tampered = np.ravel(scores), np.ravel(_binary(truth))
     if scores.shape != tampered.shape:
         raise ValueError(f"{scores.size} scores, but {tampered.size} truths")
     if np.isnan(scores).any():
         raise ValueError(f"{np.isnan(scores).sum()} of {scores.size} scores are NaN, expected none")
-    positives = int(tampered.sum())
-    negatives = tampered.size - positives
-    if not positives or not negatives:
+    pairs = int(tampered.sum()) * int((~tampered).sum())
+    if not pairs:
         return float("nan")
-    wins = rankdata(scores)[tampered].sum() - positives * (positives + 1) / 2
-    return float(wins / (positives * negatives))
+    return float(mannwhitneyu(scores[tampered], scores[~tampered]).statistic / pairs)
 
 
 def inverse_projection(votes: Tally) -> np.ndarray:

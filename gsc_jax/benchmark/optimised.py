@@ -70,21 +70,9 @@ def refine(
 ) -> Gaussians:
     """Optimise Gaussians for images with the loss of a capture, without densification.
 
-    Infinite opacities and scales stay as they are.
-
-    Args:
-        gaussians: N Gaussians.
-        cameras: V cameras with images of one size.
-        images: Their images, RGB in [0, 1], shape (V, H, W, 3).
-        rows: Gaussians that may change, shape (N,) bool; by default all. The others stay as they
-            are, to the bit.
-        options: Number of steps, and how near parameters are held to what they were.
-
-    Returns:
-        The Gaussians, NumPy float32.
-
-    Raises:
-        ValueError: if the cameras and images do not fit together.
+    The images of V cameras are RGB in [0, 1], (V, H, W, 3). Only `rows` (N,) bool may change, by
+    default all; others, infinite opacities and infinite scales stay as they are, to the bit.
+    Returns NumPy float32; cameras and images that do not fit together raise ValueError.
     """
     require_images(cameras, images)
     options, config = options or Refinement(), CaptureConfig(sh_degree=gaussians.sh_degree)

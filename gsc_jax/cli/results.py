@@ -20,7 +20,6 @@ from gsc_jax.scene import Camera, Gaussians, InputError
 
 AGAIN = "run gsc-jax locate again"
 
-
 Count = Annotated[int, Field(ge=0)]
 Share = Annotated[float, Field(ge=0, le=1)]
 

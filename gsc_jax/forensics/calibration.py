@@ -19,14 +19,9 @@ MAX_LOG_ODDS = 12.0
 PART = 64
 """Gaussians in a part of a scene; the part with the highest mean log odds represents the scene."""
 
-# Levels of labelling, from base rate (0) to peak (1). Chosen by F1 on the development scenes,
-# seeds 10 and 11.
-UNSURE_LEVEL = 0.3
-"""Level if the scene probability of the classifier is below `SURE_PROBABILITY`."""
-SURE_PROBABILITY = 0.65
-"""Scene probability from which the level is the largest gap instead."""
-GAP_RANGE, GAP_HALF_WIDTH = (0.05, 0.5), 0.1
-"""Range of levels searched for a gap, and half the width of a gap."""
+GAP_RANGE, GAP_HALF_WIDTH = (0.05, 0.4), 0.1
+"""Range of levels, from base rate (0) to peak (1), searched for a gap, and half the width of a gap;
+chosen by F1 on cases of experiments/bank.py by classifiers that never saw their hosts."""
 MIN_TRACED_SHARE = 0.1
 """Share of the Gaussians above the level that traces must mark to count as identifying the edit."""
 LEVEL_BESIDE_TRACES = 1.0
@@ -94,21 +89,18 @@ def peak_log_odds(log_odds: np.ndarray, means: np.ndarray) -> float:
 def label_level(scene: Classification, traces: Sequence[Trace] = ()) -> float:
     """Log odds above which Gaussians are labelled.
 
-    If the classifier is not sure of an edit, the level is at `UNSURE_LEVEL` between base rate and
-    peak, else at the `stable_level`. Traces identify the edit if the classifier is not sure, or if
-    they mark some of the Gaussians above the level; then the others need `LEVEL_BESIDE_TRACES`.
+    It is the `stable_level`. If traces were found, they identify the edit where the classifier
+    alone would not call the scene edited, or where they mark some of the Gaussians above the level;
+    then the others need `LEVEL_BESIDE_TRACES`.
     """
-    span = max(scene.peak - scene.base, 0.0)
-    unsure = scene.base + UNSURE_LEVEL * span
-    sure = scene.scene_probability > SURE_PROBABILITY
-    level = stable_level(scene.log_odds[scene.known], scene.base, span) if sure else unsure
+    level = stable_level(scene.log_odds[scene.known], scene.base, max(scene.peak - scene.base, 0.0))
     if not any(trace.found for trace in traces):
         return level
     above = scene.log_odds > level
     traced = above & (any_trace(traces) > 0.5)
-    if sure and traced.sum() <= MIN_TRACED_SHARE * above.sum():
+    if scene.scene_probability > 0.5 and traced.sum() <= MIN_TRACED_SHARE * above.sum():
         return level
-    return max(unsure, LEVEL_BESIDE_TRACES)
+    return max(level, LEVEL_BESIDE_TRACES)
 
 
 def stable_level(log_odds: np.ndarray, base: float, span: float) -> float:

@@ -1,7 +1,8 @@
-"""Classifier of Gaussians: small networks that map the features of a Gaussian to raw log odds.
+"""Classifier of Gaussians: raw log odds from small networks and from the novelty of a place.
 
 The networks were trained on edits by experiments/train_classifier.py and see one Gaussian at a
-time. Since edits are compact, their output is smoothed over neighbours.
+time. Since edits are compact, their output is smoothed over neighbours. Novelty is not trained, and
+adds what the networks do not know of sources that they never saw.
 """
 
 import dataclasses
@@ -14,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from gsc_jax.forensics.features import Features
-from gsc_jax.scene.neighbours import Neighbourhoods
+from gsc_jax.forensics.novelty import novelty
 
 BLOCK = 2**15
 """Gaussians per call of the networks; one size, so that they compile once."""
@@ -34,26 +35,44 @@ class Classifier:
     Attributes:
         networks: Networks whose mean output is the raw log odds.
         names: Names of the features, in the order of the inputs.
-        calibration: Factor and shift from smoothed raw log odds to log odds of a Gaussian.
+        novelty: Weight of the novelty in the raw log odds.
+        calibration: Factor and shift from raw log odds to log odds of a Gaussian.
         base: Log odds that a Gaussian of an edited scene is tampered, without any evidence.
         scene: Factor and shift from the peak log odds of a scene to log odds that it is edited.
     """
 
     networks: tuple[Layers, ...]
     names: tuple[str, ...]
+    novelty: float
     calibration: tuple[float, float]
     base: float
     scene: tuple[float, float]
 
 
+def combined_log_odds(features: Features, means: np.ndarray, classifier: Classifier) -> np.ndarray:
+    """Raw log odds of N Gaussians by networks and novelty, shape (N,) float32."""
+    weighted = classifier.novelty * smoothed_novelty(features, means)
+    return smoothed_log_odds(features, classifier) + weighted
+
+
+def smoothed_novelty(features: Features, means: np.ndarray) -> np.ndarray:
+    """Novelty of each Gaussian, smoothed over its neighbours, shape (N,) float32."""
+    return features.neighbourhoods.smooth(novelty(features, means), SMOOTHING_STEPS)
+
+
 def smoothed_log_odds(features: Features, classifier: Classifier) -> np.ndarray:
-    """Raw log odds of each Gaussian, smoothed over its neighbours, shape (N,) float32."""
+    """Output of the networks, smoothed over the neighbours, at least its median, shape (N,).
+
+    What looks less tampered than the middle of the scene is no less suspicious: a pasted object may
+    come from a capture that is nearer to the authentic ones of the training than its host.
+    """
     columns = [features.names.index(name) for name in classifier.names]
     count = len(features.neighbourhoods.nearest)
     blocks = (features.rows(slice(start, start + BLOCK)) for start in range(0, count, BLOCK))
     raw = [raw_log_odds(block, classifier.networks, columns) for block in blocks]
-    raw = np.concatenate([np.zeros(0, np.float32), *raw])
-    return smooth(np.clip(raw, -MAX_RAW_LOG_ODDS, MAX_RAW_LOG_ODDS), features.neighbourhoods)
+    raw = np.clip(np.concatenate(raw), -MAX_RAW_LOG_ODDS, MAX_RAW_LOG_ODDS)
+    smoothed = features.neighbourhoods.smooth(raw, SMOOTHING_STEPS)
+    return np.maximum(smoothed, np.median(smoothed))
 
 
 def raw_log_odds(
@@ -81,13 +100,6 @@ def network(layers: Layers, values: jax.Array) -> jax.Array:
     return (values @ weights + bias[None])[:, 0]
 
 
-def smooth(log_odds: np.ndarray, neighbourhoods: Neighbourhoods) -> np.ndarray:
-    """Average log odds repeatedly with the mean over the neighbours, shape (N,)."""
-    for _ in range(SMOOTHING_STEPS):
-        log_odds = 0.5 * (log_odds + neighbourhoods.mean @ log_odds)
-    return log_odds
-
-
 @functools.cache
 def default_classifier() -> Classifier:
     """The classifier that comes with the package."""
@@ -104,7 +116,8 @@ def from_arrays(stored: Mapping[str, np.ndarray]) -> Classifier:
     )
     others = {name: stored[name].tolist() for name in ("calibration", "scene", "names")}
     others = {name: tuple(values) for name, values in others.items()}
-    return Classifier(networks=networks, base=float(stored["base"]), **others)
+    base, weight = float(stored["base"]), float(stored["novelty"])
+    return Classifier(networks=networks, base=base, novelty=weight, **others)
 
 
 def as_arrays(classifier: Classifier) -> dict[str, np.ndarray]:
@@ -113,5 +126,5 @@ def as_arrays(classifier: Classifier) -> dict[str, np.ndarray]:
     for i, layers in enumerate(classifier.networks):
         for k, (weights, bias) in enumerate(layers):
             arrays |= {f"weights{i}.{k}": weights, f"bias{i}.{k}": bias}
-    others = ("names", "calibration", "base", "scene")
+    others = ("names", "novelty", "calibration", "base", "scene")
     return arrays | {name: np.array(getattr(classifier, name)) for name in others}

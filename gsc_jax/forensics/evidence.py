@@ -14,7 +14,7 @@ from scipy.special import expit
 from gsc_jax.estimators.protocol import Finding, Prior
 from gsc_jax.forensics import features
 from gsc_jax.forensics.calibration import MAX_LOG_ODDS, Classification, calibrate, label_level
-from gsc_jax.forensics.classifier import Classifier, default_classifier, smoothed_log_odds
+from gsc_jax.forensics.classifier import Classifier, combined_log_odds, default_classifier
 from gsc_jax.forensics.copy_move import copy_move
 from gsc_jax.forensics.quantisation import quantisation
 from gsc_jax.forensics.row_order import row_order
@@ -81,12 +81,13 @@ def forensic_evidence(
 
 
 def _classified(sound: Gaussians, classifier: Classifier) -> tuple[np.ndarray, np.ndarray]:
-    """Smoothed raw log odds, (N,), and neighbours, (N, K); both empty for too few Gaussians."""
+    """Raw log odds, (N,), and neighbours, (N, K); both empty for too few Gaussians."""
     if len(sound) <= features.NEIGHBOURS:
         return np.zeros(0, np.float32), np.zeros((len(sound), 0), int)
     computed = features.compute_features(sound)
     neighbours = computed.neighbourhoods.nearest[:, :TRACE_NEIGHBOURS].copy()
-    return smoothed_log_odds(computed, classifier), neighbours
+    means = np.asarray(sound.means, np.float32)
+    return combined_log_odds(computed, means, classifier), neighbours
 
 
 def _expanded(trace: Trace, rows: np.ndarray) -> Trace:

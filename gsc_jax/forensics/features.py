@@ -56,10 +56,18 @@ class Features:
         """All values, shape (N, F) float32."""
         return self.rows(slice(None))
 
+    @property
+    def own(self) -> np.ndarray:
+        """The numbers of the Gaussians themselves, without their surroundings, shape (N, D)."""
+        return self._columns(SURROUNDINGS[:1], slice(None))
+
     def rows(self, rows: slice) -> np.ndarray:
         """The values of some Gaussians, shape (M, F) float32."""
+        return self._columns(SURROUNDINGS, rows)
+
+    def _columns(self, labels: Sequence[str], rows: slice) -> np.ndarray:
         passes = range(0, len(self.names) // len(SURROUNDINGS), COLUMNS_PER_PASS)
-        parts = [self.store.get(label, str(i))[rows] for label in SURROUNDINGS for i in passes]
+        parts = [self.store.get(label, str(i))[rows] for label in labels for i in passes]
         return np.concatenate(parts, axis=1)
 
 
@@ -181,7 +189,7 @@ def _harmonics(rest: np.ndarray) -> np.ndarray:
 
 
 def _direction_groups(gaussians: Gaussians, around: Neighbourhoods) -> dict[str, np.ndarray]:
-    """Flatness of the surroundings, and how axes and first bands are oriented in them."""
+    """Flatness of the surroundings, and how the axes of Gaussians are oriented in them."""
     axes, logs = rotation_matrices(gaussians), np.asarray(gaussians.log_scales)
     rows = np.arange(len(logs))
     shortest, longest = axes[rows, :, logs.argmin(axis=1)], axes[rows, :, logs.argmax(axis=1)]
@@ -194,7 +202,6 @@ def _direction_groups(gaussians: Gaussians, around: Neighbourhoods) -> dict[str,
     return {
         "surface": np.column_stack([squared, volume, *along]),
         "agreement": np.column_stack(agreement),
-        "lighting": _lighting(np.asarray(gaussians.sh), shortest, around),
     }
 
 
@@ -210,20 +217,6 @@ def _agreement(axis: np.ndarray, around: Neighbourhoods) -> np.ndarray:
     pairs = [(i, j) for i in range(3) for j in range(i, 3)]
     products = np.column_stack([axis[:, i] * axis[:, j] * (1 + (i != j)) ** 0.5 for i, j in pairs])
     return ((around.mean @ products) * products).sum(axis=1)
-
-
-def _lighting(sh: np.ndarray, normal: np.ndarray, around: Neighbourhoods) -> np.ndarray:
-    """Squared cosines of the brightest direction with neighbours, scene and normal, (N, 3)."""
-    if sh.shape[1] < 4:
-        return np.zeros((len(sh), 3), np.float32)
-    y, z, x = sh[:, 1:4].mean(axis=2).T
-    direction = np.column_stack([-x, -y, z])
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True) + 1e-6
-    scene = direction.T @ direction / len(direction)
-    nearby = np.einsum("ni,ni->n", around.mean @ direction, direction)
-    overall = np.einsum("ni,ij,nj->n", direction, scene, direction)
-    along_normal = np.abs(np.einsum("ni,ni->n", direction, normal))
-    return np.column_stack([nearby, overall, along_normal])
 
 
 def duplicate_closeness(gaussians: Gaussians) -> np.ndarray:

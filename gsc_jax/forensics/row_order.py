@@ -1,4 +1,4 @@
-"""Trace of appended objects: a block of rows of the file that differs from all other rows.
+"""Trace of appended objects: rows at the end of the file that differ from all rows before.
 
 The rows are cut into pieces. In an unsorted file all pieces have about the same mean attributes,
 and an appended object deviates by many times the usual deviation. A sorted file changes along its
@@ -16,55 +16,47 @@ PIECES, MIN_PIECE_ROWS = 256, 32
 MAX_CORRELATION = 0.3
 """Correlation of adjacent pieces above which a file counts as sorted."""
 MIN_DEVIATION = 12.0
-"""Robust deviations of a block, in three attributes or more."""
+"""Standard errors by which the rows at the end deviate, in three attributes or more."""
 MAX_EXTENT = 0.5
 """Standard deviation of the positions of an appended object, in units of that of the scene."""
-BLOCK_SCORE = 0.95
-"""Score of the rows of a block, whose ends are known only up to a piece."""
+APPENDED_SCORE = 0.95
+"""Score of the rows at the end, whose first one is known only up to a piece."""
 
 
 def row_order(gaussians: Gaussians, neighbours: np.ndarray | None = None) -> Trace:
-    """Detect a block of rows unlike the rest of an unsorted file; needs no neighbours."""
+    """Detect rows at the end of an unsorted file unlike the rest; needs no neighbours."""
     del neighbours
     score = np.zeros(len(gaussians), np.float32)
-    score[appended_rows(gaussians)] = BLOCK_SCORE
-    found = "follow each other in the file and differ from all other rows"
-    return make_trace("row-order", score, found, "No block of rows differs from the others.")
+    score[appended_rows(gaussians)] = APPENDED_SCORE
+    found = "are the last of the file and differ from all other rows"
+    return make_trace(
+        "row-order", score, found, "The last rows of the file do not differ from the others."
+    )
 
 
 def appended_rows(gaussians: Gaussians) -> slice:
-    """Rows of the block that differs from the others, to within a piece; empty if none does."""
+    """Rows at the end that differ from those before, to within a piece; empty if none do."""
     pieces = min(PIECES, len(gaussians) // MIN_PIECE_ROWS)
     if pieces < 16:  # too few to estimate the usual deviation
         return slice(0)
     columns = _standardised(gaussians)
     bounds = np.linspace(0, len(columns), pieces + 1).round().astype(int)
     means = np.add.reduceat(columns, bounds[:-1]) / np.diff(bounds)[:, None]
-    start, stop = _most_deviating(means, len(columns) / pieces)
-    inside = columns[bounds[start] : bounds[stop], :3]
-    if not len(inside) or (inside.std(axis=0) > MAX_EXTENT * columns[:, :3].std(axis=0)).any():
+    cuts = range(2 * pieces // 3, pieces)
+    deviations = [_deviation(means, cut, len(columns) / pieces) for cut in cuts]
+    cut = cuts[int(np.argmax(deviations))]
+    inside = columns[bounds[cut] :, :3]
+    wide = (inside.std(axis=0) > MAX_EXTENT * columns[:, :3].std(axis=0)).any()
+    if max(deviations) < MIN_DEVIATION or wide or _autocorrelation(means[:cut]) > MAX_CORRELATION:
         return slice(0)
-    if _autocorrelation(np.delete(means, np.arange(start, stop), axis=0)) > MAX_CORRELATION:
-        return slice(0)
-    start, stop = _extended(means, start, stop)
-    return slice(bounds[start], bounds[stop])
+    return slice(bounds[cut], len(columns))
 
 
-def _most_deviating(means: np.ndarray, piece_rows: float) -> tuple[int, int]:
-    """First piece and end of the most deviating block; (0, 0) if none is above the threshold."""
-    sums = np.concatenate([np.zeros((1, means.shape[1])), np.cumsum(means, axis=0)])
-    best, block = MIN_DEVIATION, (0, 0)
-    for length in range(1, len(means) // 3):
-        windows = (sums[length:] - sums[:-length]) / length
-        median, mad = median_and_mad(windows)
-        # Standard error of the mean of standardised rows.
-        floor = 1 / np.sqrt(length * piece_rows)
-        deviation = np.abs(windows - median) / np.maximum(mad, floor)
-        third = np.sort(deviation, axis=1)[:, -3]
-        start = int(np.argmax(third))
-        if third[start] > best:
-            best, block = third[start], (start, start + length)
-    return block
+def _deviation(means: np.ndarray, cut: int, piece_rows: float) -> float:
+    """Third largest deviation of the pieces from a cut on, in standard errors of their mean."""
+    median, mad = median_and_mad(means[:cut])
+    error = np.maximum(mad, 1 / np.sqrt(piece_rows)) / np.sqrt(len(means) - cut)
+    return float(np.sort(np.abs(means[cut:].mean(axis=0) - median) / error, axis=None)[-3])
 
 
 def _autocorrelation(means: np.ndarray) -> float:
@@ -72,18 +64,6 @@ def _autocorrelation(means: np.ndarray) -> float:
     off = means - means.mean(axis=0)
     products = np.sum(off[1:] * off[:-1], axis=0) / np.maximum(np.sum(off**2, axis=0), 1e-9)
     return float(np.mean(np.abs(products)))
-
-
-def _extended(means: np.ndarray, start: int, stop: int) -> tuple[int, int]:
-    """The block with the adjacent pieces that resemble it more than the rest of the file."""
-    median = np.median(means, axis=0)
-    direction = means[start:stop].mean(axis=0) - median
-    alike = (means - median) @ direction > 0.5 * direction @ direction
-    while start > 0 and alike[start - 1]:
-        start -= 1
-    while stop < len(means) and alike[stop]:
-        stop += 1
-    return start, stop
 
 
 def _standardised(gaussians: Gaussians) -> np.ndarray:

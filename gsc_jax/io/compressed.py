@@ -26,12 +26,9 @@ if TYPE_CHECKING:
 
 SUFFIXES = (".spz", ".sog", ".splat", ".ksplat")
 """Suffixes of compressed scenes that are not PLY files."""
-
 CHUNK_ROWS = 256
 CHUNK_BYTES, VERTEX_BYTES, SH_BYTES = 18 * 4, 4 * 4, (9, 24, 45)
 """Bytes per row of the elements of a .compressed.ply, those of `sh` for degree 1 to 3."""
-
-
 SPZ_MAGIC, SPZ_HEADER_BYTES, ZSTD_HEADER_BYTES = b"NGSP", 16, 18
 BYTES_PER_BYTE = 16
 """Memory per byte of quantised Gaussians: each becomes a float32, in up to four arrays."""

@@ -7,6 +7,9 @@ import numpy as np
 
 from gsc_jax.scene.parallel import WORKERS, blocks, in_blocks
 
+OBLIQUE = np.array([[1, 0.0123, 0.0071], [0.0071, 1, 0.0123], [0.0123, 0.0071, 1]], np.float32)
+"""Directions along which a point set is halved."""
+
 
 def nearest_neighbours(points: np.ndarray, rows: np.ndarray, count: int) -> np.ndarray:
     """Find the nearest `count` < N other points of the rows (M,) of finite points (N, 3).
@@ -47,6 +50,12 @@ class Neighbourhoods:
         """Standard deviation over the neighbours of values with these means, shape (N, D)."""
         return np.sqrt(np.maximum(self.mean @ (values * values) - means * means, 0.0))
 
+    def smooth(self, values: np.ndarray, steps: int) -> np.ndarray:
+        """Average values (N,) repeatedly with the mean over the neighbours, shape (N,)."""
+        for _ in range(steps):
+            values = 0.5 * (values + self.mean @ values)
+        return values
+
 
 def neighbourhoods(points: np.ndarray, k: int) -> Neighbourhoods:
     """Find the k nearest neighbours of finite points, shape (N, 3) with N > k."""
@@ -78,6 +87,7 @@ def parts(points: np.ndarray, size: int) -> list[np.ndarray]:
             continue
         own = points[rows]
         axis = np.argmax(own.max(axis=0) - own.min(axis=0))
-        order = np.argpartition(own[:, axis], len(rows) // 2)
+        # Not quite along the axis: points in a plane across it are no ties.
+        order = np.argpartition(own @ OBLIQUE[axis], len(rows) // 2)
         pending += [rows[order[: len(rows) // 2]], rows[order[len(rows) // 2 :]]]
     return small

@@ -1,28 +1,33 @@
 """Training of the classifier: what is held out, calibration, and the stored file."""
 
+import bank
+import classifier_examples
 import jax
 import numpy as np
 import pytest
 import train_classifier as train
-from cases import CUT, OBJECTS, donor_name, edit_scene
-from classifier_examples import Examples, scenes_in
+from bank import FIRST_SEED, NO_EDIT, PROGRAM_SEEDS, bank_case
+from classifier_examples import Examples
 from scipy.special import expit
 
 from gsc_jax.benchmark.metrics import auc
+from gsc_jax.benchmark.scenes import make_room
 from gsc_jax.forensics.classifier import default_classifier, from_arrays, network
+from gsc_jax.scene import InputError
 
 SCENES = ("a", "b", "c")
+QUICK_SEED = FIRST_SEED + PROGRAM_SEEDS
 
 
-def examples(scene: str, seed: int, *, pasted_from: str | None = None) -> Examples:
+def examples(host: str, seed: int, *, pasted_from: str | None = None) -> Examples:
     rng = np.random.default_rng(seed)
     labels = rng.random(400) < 0.3
     values = rng.normal(size=(400, 3))
     values[:, 0] += 2 * labels
     return Examples(
-        scene=scene,
+        host=host,
         edit=("removal", "modification")[seed % 2],
-        scenes=frozenset({scene, pasted_from or scene}),
+        sources=frozenset({host, pasted_from or host}),
         values=values.astype(np.float16),
         labels=labels,
         share=0.1,
@@ -30,11 +35,18 @@ def examples(scene: str, seed: int, *, pasted_from: str | None = None) -> Exampl
     )
 
 
-def scene_output(edit, rng: np.random.Generator) -> train.SceneOutput:
-    """A scene whose log odds are twice the raw ones, less 1."""
-    raw = rng.normal(-1, 1.5, 20_000)
-    labels = rng.random(20_000) < expit(2 * raw - 1) if edit else np.zeros(20_000, bool)
-    return train.SceneOutput(edit=edit, raw=raw, labels=labels, peak=6.0 if edit else 1.0)
+def scene_output(edit: str, rng: np.random.Generator) -> train.SceneOutput:
+    """A scene whose log odds are twice those of the networks, plus the novelty, less 1."""
+    networks, novelty = rng.normal(-1, 1.5, 20_000), rng.normal(0, 1, 20_000)
+    networks[:64] = 6 if edit != NO_EDIT else 1
+    labels = rng.random(20_000) < expit(2 * networks + novelty - 1)
+    return train.SceneOutput(
+        edit=edit,
+        networks=networks,
+        novelty=novelty,
+        labels=labels if edit != NO_EDIT else np.zeros(20_000, bool),
+        means=np.linspace(0, 1, 20_000)[:, None] * np.ones(3),
+    )
 
 
 @pytest.fixture
@@ -46,20 +58,20 @@ def cases(monkeypatch) -> list[Examples]:
 
 
 def test_logistic_fit_recovers_a_line():
-    values = np.random.default_rng(0).normal(size=4_000)
-    labels = np.random.default_rng(1).random(4_000) < expit(1.5 * values - 0.7)
+    values = np.random.default_rng(0).normal(size=(4_000, 2))
+    labels = np.random.default_rng(1).random(4_000) < expit(values @ [1.5, 0.5] - 0.7)
     line = train.logistic_fit(values, labels, np.ones(4_000))
-    assert line == pytest.approx((1.5, -0.7), abs=0.15)
+    assert line == pytest.approx((1.5, 0.5, -0.7), abs=0.15)
 
 
-def test_networks_never_see_a_scene_that_is_left_out(cases, monkeypatch):
+def test_networks_never_see_a_source_that_is_left_out(cases, monkeypatch):
     seen = []
     monkeypatch.setattr(train, "train_network", lambda own, seed: seen.append(own) or (seed,))
     networks = train.train_networks(cases, SCENES)
     assert [len(own) for own in networks.values()] == 4 * [train.MEMBERS] + 3 * [1]
     in_order = [without for without, own in networks.items() for _ in own]
     for without, own in zip(in_order, seen, strict=True):
-        assert set().union(*(case.scenes for case in own)) == set(SCENES) - without
+        assert set().union(*(case.sources for case in own)) == set(SCENES) - without
         assert len(own) == 3 - len(without) + (not without & {"a", "c"})
     fold = train.make_fold("a", cases, networks)
     assert fold.classifier.networks is networks[frozenset({"a"})]
@@ -73,39 +85,65 @@ def test_trained_network_separates_and_survives_a_file(cases, tmp_path):
     assert auc(log_odds, cases[0].labels) > 0.7
     networks = {frozenset(some): (layers,) for some in ((), "a", "b", "c")}
     rng = np.random.default_rng(0)
-    outputs = [scene_output(e, rng) for e in ("removal", "removal", "modification", None)]
+    outputs = [scene_output(e, rng) for e in ("removal", "removal", "modification", NO_EDIT)]
     classifier = train.calibrated(train.make_fold(None, cases, networks).classifier, outputs)
     assert classifier.calibration == pytest.approx((2, -1), abs=0.15), "as the labels were drawn"
+    assert classifier.novelty == pytest.approx(0.5, abs=0.1), "in units of the networks' output"
     assert classifier.scene[0] > 0, "the peak of edited scenes is higher"
     train.save(tmp_path / "classifier.npz", classifier)
     with np.load(tmp_path / "classifier.npz") as stored:
         again = from_arrays(stored)
     assert again.names == classifier.names
     assert again.calibration == pytest.approx(classifier.calibration)
+    assert again.novelty == pytest.approx(classifier.novelty)
 
 
-def test_object_cut_from_a_scene_belongs_to_it():
-    pasted = {seed: donor_name("kitchen", seed) for seed in range(8)}
-    cut = next(seed for seed, name in pasted.items() if name.startswith(CUT))
-    scanned = next(seed for seed, name in pasted.items() if name in OBJECTS)
-    source = pasted[cut].removeprefix(CUT)
-    assert scenes_in("kitchen", "incorporation", cut) == {"kitchen", source}
-    assert scenes_in("kitchen", "incorporation", scanned) == {"kitchen"}
-    assert scenes_in("kitchen", "removal", cut) == {"kitchen"}
+@pytest.fixture
+def small_rooms(monkeypatch):
+    """Rooms of 4,000 Gaussians as the only host, without a bank or real scenes."""
+    monkeypatch.setitem(bank.MADE_HOSTS, "room", lambda seed: make_room(seed=seed, count=4_000))
 
 
-def test_whole_scenes_calibrate_only_folds_that_saw_no_part_of_them(monkeypatch):
-    case = edit_scene("small room", "removal", 0)
-    monkeypatch.setattr(train, "scenes_in", lambda *_: frozenset({"a", "b"}))
-    monkeypatch.setattr(train, "load_scene", lambda *_: case)
-    monkeypatch.setattr(train, "edit_scene", lambda *_: case)
+def test_cases_of_a_seed_are_the_same_and_have_their_sources(small_rooms, tmp_path):
+    one, other = (
+        bank_case("room", "removal", QUICK_SEED, tmp_path, tmp_path / "absent") for _ in range(2)
+    )
+    np.testing.assert_array_equal(one.gaussians.means, other.gaussians.means)
+    assert 0 < one.labels.sum() < len(one.labels) == len(one.gaussians)
+    assert one.sources == {"room"}
+    pasted = bank_case("room", "incorporation", QUICK_SEED, tmp_path, tmp_path / "absent")
+    assert pasted.sources in ({"room", "vase"}, {"room", "garden"}), "no real object is at hand"
+    authentic = bank_case("room", NO_EDIT, QUICK_SEED, tmp_path, tmp_path / "absent")
+    assert not authentic.labels.any()
+    assert len(authentic.how) == 1, "an exporter or a harmless history, and nothing else"
+
+
+def test_examples_are_kept_and_a_host_without_a_place_has_none(small_rooms, tmp_path, monkeypatch):
+    arguments = ("room", "removal", QUICK_SEED, tmp_path, tmp_path / "absent", tmp_path)
+    monkeypatch.setattr(classifier_examples, "MAX_AUTHENTIC", 1_000)
+    made = classifier_examples.make_examples(*arguments)
+    assert made.values.shape == (len(made.labels), len(made.names))
+    assert 0 < made.share < made.labels.mean() < 1, "authentic Gaussians are thinned out"
+
+    def no_place(*_: object):
+        raise InputError("no place")
+
+    monkeypatch.setattr(classifier_examples, "bank_case", no_place)
+    again = classifier_examples.make_examples(*arguments)
+    np.testing.assert_array_equal(again.values, made.values)
+    absent = classifier_examples.make_examples("room", "modification", *arguments[2:])
+    assert absent.share == 0
+    assert not len(absent.labels)
+
+
+def test_whole_cases_calibrate_only_folds_that_saw_no_part_of_them(small_rooms, tmp_path):
+    case = bank_case("room", "removal", QUICK_SEED, tmp_path, tmp_path / "absent")
     classifier = default_classifier()
     folds = [
-        train.Fold(heldout=heldout, classifier=classifier, others={"a": classifier.networks[0]})
-        for heldout in (None, "a", "b", "c")
+        train.Fold(heldout=heldout, classifier=classifier, others={"room": classifier.networks[0]})
+        for heldout in (None, "room", "b")
     ]
-    outputs = train.scene_outputs("a", "removal", 1, train.Args(), folds)
-    assert set(outputs) == {None, "c"}
-    assert len(outputs["c"].raw) == len(outputs["c"].labels) <= train.SAMPLE
-    assert 0 < outputs["c"].labels.mean() < 0.1
-    assert outputs["c"].peak >= np.median(outputs["c"].raw)
+    outputs = train.scene_outputs(case, "room-1-mcmc", folds)
+    assert set(outputs) == {None, "b"}
+    assert len(outputs["b"].networks) == len(outputs["b"].novelty) == len(case.labels)
+    assert outputs["b"].edit == "removal"

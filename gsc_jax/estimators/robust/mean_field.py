@@ -25,19 +25,11 @@ def smooth(
     strength: float,
     neighbours: int,
 ) -> np.ndarray:
-    """Class probabilities after mean-field smoothing.
+    """Class probabilities (N, C) that add up to 1, after mean-field smoothing.
 
-    Args:
-        logits: Unnormalised log probability of each class, shape (N, C).
-        tampered: Classes that count as tampered, shape (C,) bool.
-        means: Centres in any unit, shape (N, 3).
-        seen: Mask of the Gaussians visible in at least one view, shape (N,) bool; the others get
-            and send no message.
-        strength: Log odds that neighbours contribute if they all belong to one class.
-        neighbours: Number of neighbours.
-
-    Returns:
-        Probabilities that add up to 1, shape (N, C).
+    `logits` (N, C) are unnormalised log probabilities, `tampered` (C,) the classes that count as
+    such, `means` (N, 3) centres in any unit. Gaussians that no view has `seen` (N,) get and send no
+    message. `strength` is the log odds that `neighbours` contribute if all belong to one class.
     """
     probability = softmax(logits, axis=-1)
     means = np.asarray(means)

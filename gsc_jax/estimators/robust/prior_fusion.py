@@ -28,18 +28,9 @@ def fuse(
     The fused verdict includes only evidence of the prior *for* an edit: an edit need not show in
     the prior, so that its absence there is no evidence.
 
-    Args:
-        probability: Probability of N Gaussians from the masks, shape (N,).
-        verdict: Scene probability from the masks.
-        seen: Mask of the Gaussians visible in at least one view, shape (N,) bool.
-        prior: The prior.
-        weight: Weight of the prior, in [0, 1].
-
-    Returns:
-        Probabilities, shape (N,) float32, and the scene probability.
-
-    Raises:
-        ValueError: if the prior has another number of Gaussians.
+    `probability` (N,) and `verdict`, that of the scene, are from the masks; `seen` (N,) is True for
+    Gaussians visible in at least one view; the prior has a weight in [0, 1]. Returns probabilities,
+    (N,) float32, and the scene probability; a prior of another size raises ValueError.
     """
     if len(prior.probability) != len(probability):
         raise ValueError(
@@ -55,18 +46,10 @@ def fuse(
 
 
 def linear_pool(first: np.ndarray, second: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """Pool two probabilities of each Gaussian linearly (Stone, 1961).
+    """Pool two probabilities (N,) linearly (Stone, 1961), with a share (N,) of the second.
 
     The mean of two estimates may label nothing although one of them does. In this case that one
-    alone is returned, or of two the one with the larger share.
-
-    Args:
-        first: Probabilities, shape (N,).
-        second: Probabilities, shape (N,).
-        share: Weight of the second, in [0, 1], shape (N,).
-
-    Returns:
-        Pooled probabilities, shape (N,) float32.
+    alone is returned, or of two the one with the larger share, shape (N,) float32.
     """
     pooled = ((1 - share) * first + share * second).astype(np.float32)
     labels_any = [bool((estimate > 0.5).any()) for estimate in (first, second)]

@@ -1,0 +1,62 @@
+"""Novelty: high for what resembles nothing elsewhere, and independent of scale and row order."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from gsc_jax.benchmark.incorporation import transformed
+from gsc_jax.benchmark.metrics import auc
+from gsc_jax.benchmark.scenes import make_room
+from gsc_jax.forensics.features import compute_features
+from gsc_jax.forensics.novelty import novelty
+from gsc_jax.scene import Gaussians
+
+ROOM = make_room(count=12_000, seed=5)
+
+
+def measured(gaussians: Gaussians) -> np.ndarray:
+    return novelty(compute_features(gaussians), np.asarray(gaussians.means, np.float32))
+
+
+def nearest(gaussians: Gaussians, count: int) -> np.ndarray:
+    """Mask of the Gaussians nearest to the first, shape (N,) bool."""
+    means = np.asarray(gaussians.means)
+    apart = np.linalg.norm(means - means[0], axis=1)
+    return apart <= np.sort(apart)[count]
+
+
+def test_part_with_statistics_of_its_own_is_novel():
+    part = nearest(ROOM, 700)
+    rng = np.random.default_rng(0)
+    log_scales = np.array(ROOM.log_scales)
+    log_scales[part] += rng.normal(-1, 0.5, (part.sum(), 3))
+    logits = np.where(part, rng.normal(0, 2, len(part)), ROOM.logit_opacities)
+    edited = dataclasses.replace(
+        ROOM, log_scales=log_scales.astype(np.float32), logit_opacities=logits.astype(np.float32)
+    )
+    after, before = measured(edited), measured(ROOM)
+    assert auc(after, part) > 0.9
+    assert after[part].mean() > before[part].mean() + 0.5
+
+
+def test_order_scale_and_place_change_nothing():
+    order = np.random.default_rng(1).permutation(len(ROOM))
+    expected = measured(ROOM)
+    assert np.isfinite(expected).all()
+    np.testing.assert_allclose(measured(ROOM.take(order)), expected[order], atol=0.05)
+    moved = transformed(ROOM, np.eye(3), 20.0, np.array([3.0, -2, 7]))
+    assert np.median(np.abs(measured(moved) - expected)) < 0.05
+
+
+@pytest.mark.parametrize("count", [40, 300])
+def test_few_places_are_not_compared(count):
+    few = ROOM.take(np.arange(count))
+    np.testing.assert_array_equal(measured(few), np.zeros(count, np.float32))
+
+
+def test_identical_gaussians_are_not_novel():
+    same = ROOM.take(np.zeros(2_000, int))
+    means = np.random.default_rng(2).normal(size=(2_000, 3)).astype(np.float32)
+    values = measured(dataclasses.replace(same, means=means))
+    assert np.isfinite(values).all()

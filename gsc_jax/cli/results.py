@@ -1,7 +1,7 @@
 """Reading the folder of results of `gsc-jax locate`.
 
-Files that do not fit together are refused. Nothing outside the folder is read, where it may have
-changed since the run.
+Files that do not fit together are refused. Inputs of the run, which may have changed since, are not
+read again.
 """
 
 import dataclasses

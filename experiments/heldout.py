@@ -1,0 +1,104 @@
+"""The attributes alone on cases of the bank, by classifiers that never saw their hosts.
+
+    python experiments/captures.py
+    python experiments/train_classifier.py --keep .cues
+    python experiments/heldout.py --keep .cues [--out docs]
+
+Hosts vary in capture, edits in program and donor, and every case has one exporter or harmless
+history. The objects that are pasted were pasted into other hosts in training, too.
+"""
+
+import dataclasses
+import itertools
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from bank import BANK, FIRST_SEED, NO_EDIT, PROGRAM_SEEDS, BankCase, Kind, hosts, source_of
+from classifier_examples import draw_case
+from native import NativeArgs, classifier_without
+from runner import measured, start
+from tables import Frame, Row, pivot, where, write_section
+from tqdm import tqdm
+
+from gsc_jax.benchmark.metrics import auc, confusion
+from gsc_jax.benchmark.tamper import EDITS
+from gsc_jax.forensics.evidence import estimate_from_attributes, forensic_evidence
+
+SEEDS = (FIRST_SEED, FIRST_SEED + PROGRAM_SEEDS, FIRST_SEED + PROGRAM_SEEDS + 2)
+"""One of whole hosts with the programs of editors, two of parts with quick edits. The level of
+labelling was chosen on the seeds between them."""
+ALARM = 0.5
+"""Scene probability from which a scene is called edited."""
+KINDS: tuple[Kind, ...] = (*EDITS, NO_EDIT)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class HeldoutArgs(NativeArgs):
+    """Arguments of the experiment.
+
+    Attributes:
+        bank: The captures; without them only scenes of cases.py are edited.
+    """
+
+    bank: Path = BANK
+
+
+def family(case: BankCase) -> str:
+    """How the edit was made: quickly, by optimising for edited views, or with more training."""
+    described = " ".join(case.how)
+    if "laundered" in described:
+        return "laundered"
+    return "optimised" if "optimised" in described or "inpainted" in described else "quick"
+
+
+def rows_of(host: str, kind: Kind, seed: int, args: HeldoutArgs) -> Iterator[Row]:
+    """Measure one case, with and without traces; nothing if the host has no place for the edit."""
+    case = draw_case(host, kind, seed, args.bank, args.data)
+    if case is None:
+        return
+    classifier = classifier_without(source_of(host), args.keep)
+    both = forensic_evidence(case.gaussians, classifier=classifier)
+    for method, evidence in (("classifier", both.without_traces), ("with traces", both)):
+        labels = estimate_from_attributes(evidence).labels
+        row = {"host": host, "edit": kind, "seed": seed, "export": case.how[-1], "method": method}
+        row |= {"family": family(case), "verdict": evidence.verdict, "regime": "no masks"}
+        if kind != NO_EDIT:
+            row["auc"] = auc(evidence.log_odds, case.labels)
+            row["f1_gaussians"] = confusion(labels, case.labels).f1
+        yield row
+
+
+def report(rows: Frame) -> str:
+    """All tables."""
+    edited, authentic = rows[rows.edit != NO_EDIT], where(rows, edit=NO_EDIT)
+    tables = []
+    for metric, name in (("auc", "AUC"), ("f1_gaussians", "F1")):
+        own = where(edited, method="with traces")
+        for column in ("method", "family", "export", "host"):
+            some = edited if column == "method" else own
+            tables.append(f"**{name} per Gaussian by {column}**, hosts that nothing was trained on")
+            tables.append(pivot(some, column, "edit", metric=metric, best=None))
+    for method in ("classifier", "with traces"):
+        some, none = (where(part, method=method).verdict for part in (edited, authentic))
+        ranks = auc(np.append(some, none), np.arange(len(some) + len(none)) < len(some))
+        tables.append(
+            f"Scene probability, {method}: AUC {ranks:.2f}; {ALARM} or more for "
+            f"{int((none >= ALARM).sum())} of {len(none)} authentic and "
+            f"{int((some >= ALARM).sum())} of {len(some)} edited cases."
+        )
+    return "\n\n".join(tables)
+
+
+def main(args: HeldoutArgs) -> None:
+    """Measure every case; print and write the tables."""
+    jobs = list(itertools.product(hosts(args.bank, args.data), KINDS, SEEDS))
+    progress = tqdm(jobs, desc="cases", disable=None)
+    rows = measured(args, "heldout", (rows_of(*job, args) for job in progress))
+    text = report(rows)
+    print(text)
+    write_section(args.out / "results.md", "heldout", text)
+
+
+if __name__ == "__main__":
+    start(main, __doc__)

@@ -13,9 +13,10 @@ import numpy as np
 from gsc_jax.benchmark.metrics import auc, confusion, false_positive_area, mean_over_tampered_views
 from gsc_jax.cli.options import Evaluate
 from gsc_jax.cli.outputs import write_json
+from gsc_jax.cli.ownership import refuse_foreign_file
 from gsc_jax.cli.report.wording import share
 from gsc_jax.cli.results import Results, read_by_row, read_results
-from gsc_jax.cli.staging import EVALUATION, refuse_foreign_file
+from gsc_jax.cli.staging import EVALUATION
 from gsc_jax.detectors.folder import FolderDetector
 from gsc_jax.evidence.detector import fit_to_view
 from gsc_jax.io.allocation import memory_limit

@@ -19,6 +19,7 @@ import pydantic
 import tyro
 
 from gsc_jax.cli.locate_options import Locate
+from gsc_jax.cli.results import result_file
 from gsc_jax.estimators import METHODS, Method
 from gsc_jax.estimators.protocol import Estimator
 from gsc_jax.io.files import existing_file
@@ -68,7 +69,7 @@ def read_config_file(path: str | Path) -> ConfigFile:
         InputError: if the file cannot be read, has an unknown key, a wrong type or a contradiction.
     """
     path = Path(path)
-    path = path / "result.json" if path.is_dir() else path
+    path = result_file(path, "result.json") if path.is_dir() else path
     content = _read(existing_file(path, expected="a configuration (.toml or .json)"))
     report = {"versions", "outputs"} <= set(content)
     tables = {name: content.get(name, {}) for name in ("command", "config")} if report else content

@@ -157,6 +157,7 @@ class TestEscapeSequences:
             (tmp_path / "run.json").write_text(json.dumps({"command": table}))
             message = refused("locate", "--config", tmp_path / "run.json", "--out", tmp_path / "o")
             assert message.rstrip("\n").isprintable()
+            assert "\x1b]" not in refused("locate", "--config", tmp_path / "run.json", "--help")
 
     def test_in_results_and_warnings(self, case, tmp_path):
         scene = tmp_path / f"{ESCAPE}.ply"

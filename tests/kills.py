@@ -28,8 +28,8 @@ from gsc_jax.io.ply import save_ply
 COUNT, SIZE, CAMERAS = 3_000, (96, 72), 5
 STEPS = 1_500_000
 """Steps of the loop of the network: about two seconds."""
-TIMES = ("seconds", "stages", "date", "command")
-"""Entries of result.json that differ between any two runs; report.html shows them, too."""
+TIMES = ("seconds", "stages", "date", "command", "seal")
+"""Entries of result.json that differ between runs in two folders; report.html shows them, too."""
 
 
 def main() -> int:

@@ -13,9 +13,10 @@ import numpy as np
 from gsc_jax.benchmark.metrics import auc, confusion, false_positive_area, mean_over_tampered_views
 from gsc_jax.cli.options import Evaluate
 from gsc_jax.cli.outputs import write_json
+from gsc_jax.cli.ownership import refuse_foreign_file
 from gsc_jax.cli.report.wording import share
-from gsc_jax.cli.results import Results, read_by_row, read_results
-from gsc_jax.cli.staging import EVALUATION, refuse_foreign_file
+from gsc_jax.cli.results import Results, read_by_row, read_results, result_file
+from gsc_jax.cli.staging import EVALUATION
 from gsc_jax.detectors.folder import FolderDetector
 from gsc_jax.evidence.detector import fit_to_view
 from gsc_jax.io.allocation import memory_limit
@@ -111,7 +112,7 @@ def _by_view(results: Results, truth: FolderDetector, warnings: list[str]) -> di
     true = {camera.name: _true_mask(truth, camera, warnings) for camera in chosen}
     warnings += truth.warnings
     found = {camera.name: _read_mask(results, "masks", camera) for camera in chosen}
-    judged = [c for c in chosen if image_path(results.folder / "detector", c.name).is_file()]
+    judged = [c for c in chosen if _mask_path(results, "detector", c).exists()]
     detector = {camera.name: _read_mask(results, "detector", camera) for camera in judged}
     scores = {
         "truth": {name: float(mask.mean()) for name, mask in true.items()},
@@ -140,7 +141,7 @@ def _true_mask(folder: FolderDetector, camera: Camera, warnings: list[str]) -> n
 
 def _read_mask(results: Results, kind: str, camera: Camera) -> np.ndarray:
     """A mask that the run wrote."""
-    path = image_path(results.folder / kind, camera.name)
+    path = _mask_path(results, kind, camera)
     mask = read_probability(path, zero_one=False, max_bytes=results.max_bytes) > 0.5
     if mask.shape != (camera.height, camera.width):
         raise InputError(
@@ -148,6 +149,10 @@ def _read_mask(results: Results, kind: str, camera: Camera) -> np.ndarray:
             f"{camera.height}, as in result.json; run gsc-jax locate again"
         )
     return mask
+
+
+def _mask_path(results: Results, kind: str, camera: Camera) -> Path:
+    return result_file(results.folder, image_path(kind, camera.name))
 
 
 def _scores(masks: Masks, truth: Masks) -> dict[str, Any]:

@@ -20,8 +20,9 @@ from gsc_jax.cli.detector_choice import (
 from gsc_jax.cli.locate_options import Locate
 from gsc_jax.cli.located import Located
 from gsc_jax.cli.outputs import planned_outputs, versions, write_report, write_results
+from gsc_jax.cli.ownership import refuse_blocked, refuse_foreign, refuse_overlap
 from gsc_jax.cli.scene_input import check_numbers, choose_cameras, naming, read_scene
-from gsc_jax.cli.staging import refuse_blocked, refuse_foreign, refuse_overlap, replacing, views_of
+from gsc_jax.cli.staging import BY_CAMERA, FILES, replacing, views_of
 from gsc_jax.estimators.protocol import Estimator
 from gsc_jax.evidence.detector import Detector
 from gsc_jax.evidence.monitor import Monitor
@@ -74,7 +75,7 @@ def read_inputs(options: Locate, *, monitor: Monitor) -> Inputs:
     files = [options.scene, options.masks, network_path(options), options.spec]
     files += camera_files(options.cameras) if options.cameras else []
     files = [path for path in files if path is not None]
-    refuse_overlap(options.out, files)
+    refuse_overlap(options.out, files, written=(*FILES, *BY_CAMERA))
     scene, cameras = read_scene(options, warnings, monitor)
     # Once, since NumPy reads the arrays of JAX without copying, but not the other way round.
     scene = dataclasses.replace(scene, gaussians=jax.device_put(scene.gaussians))

@@ -13,14 +13,14 @@ import numpy as np
 
 from gsc_jax.cli.options import Render
 from gsc_jax.cli.outputs import versions, write_json
-from gsc_jax.cli.scene_input import check_numbers, choose_cameras, naming, read_scene
-from gsc_jax.cli.staging import (
+from gsc_jax.cli.ownership import (
     earlier_outputs,
     refuse_blocked,
     refuse_foreign,
     refuse_overlap,
-    replacing,
 )
+from gsc_jax.cli.scene_input import check_numbers, choose_cameras, naming, read_scene
+from gsc_jax.cli.staging import replacing
 from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.io.cameras import camera_files, save_cameras
 from gsc_jax.io.masks import image_path, write_image

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path, PurePath
 
 from gsc_jax.cli.options import SceneOptions
-from gsc_jax.cli.staging import UNFINISHED
+from gsc_jax.cli.ownership import UNFINISHED
 from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.io.allocation import memory_limit
 from gsc_jax.io.cameras import load_cameras

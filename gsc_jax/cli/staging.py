@@ -13,20 +13,26 @@ them leaves the journal, and the next run begins by moving the rest.
 import contextlib
 import hmac
 import json
+import os
 import shutil
 from collections.abc import Iterator, Sequence
 from pathlib import Path, PurePosixPath
 
 import filelock
 
-from gsc_jax.cli.cache import seal
-from gsc_jax.io.tables import read_table
+from gsc_jax.cli.ownership import (
+    JOURNAL,
+    UNFINISHED,
+    earlier_outputs,
+    read_journal,
+    refuse_blocked,
+    report_seal,
+    sealed,
+)
 from gsc_jax.scene import InputError
 
-UNFINISHED = ".unfinished"
-"""Folder for everything unfinished, inside the folder of results."""
-LOCK, NEW, VIEWS, IDENTITY, JOURNAL = "lock", "new", "views", "views.txt", "journal.json"
-"""In it: the lock, the new results, the arrays of views and what they belong to, the journal."""
+LOCK, NEW, VIEWS, IDENTITY = "lock", "new", "views", "views.txt"
+"""In it: the lock, the new results, the arrays of views and what they belong to."""
 OUTPUTS = {
     "overview.png": "a few views side by side",
     "render/": "renders of the views",
@@ -48,46 +54,6 @@ BY_CAMERA = tuple(name.rstrip("/") for name in OUTPUTS if name.endswith("/"))
 PICTURES = (".png", ".jpg")
 EVALUATION = "evaluation.json"
 """Scores of the results; they do not apply to the results of another run."""
-
-
-def refuse_overlap(
-    out: Path, inputs: Sequence[Path], *, written: Sequence[str] = (*FILES, *BY_CAMERA)
-) -> None:
-    """Raise InputError if writing the names `written` in the folder `out` overwrites an input."""
-    results = [(out / name).resolve() for name in written]
-    # A folder is read for the files in it, such as DIR/cameras.json.
-    inside = [folder / name for folder in inputs for name in written if folder.is_dir()]
-    for path in [*inputs, *(path for path in inside if path.exists())]:
-        if any(path.resolve().is_relative_to(result) for result in results):
-            raise InputError(f"{path}: the results would overwrite this input; give another --out")
-
-
-def earlier_outputs(out: Path, report: str) -> set[str]:
-    """Files in a folder that an earlier run has written, by its report or by its journal."""
-    names = _journal(out)["moved"]
-    with contextlib.suppress(InputError, LookupError, TypeError):
-        names = [*names, *read_table(out / report, remedy="")["outputs"]]
-    paths = [PurePosixPath(name) for name in names if isinstance(name, str) and "\0" not in name]
-    inside = [path for path in paths if path.parts and not path.is_absolute()]
-    return {str(path) for path in inside if ".." not in path.parts}
-
-
-def refuse_foreign(out: Path, names: Sequence[str], *, report: str) -> None:
-    """Raise InputError if one of the files exists and is not from an earlier run."""
-    own = earlier_outputs(out, report)
-    for name in names:
-        if (out / name).exists() and name not in own:
-            raise InputError(
-                f"{out / name}: exists, and {report} does not list it as the output of an earlier "
-                "run; give another --out"
-            )
-
-
-def refuse_foreign_file(path: Path, mark: str) -> None:
-    """Raise InputError if a file exists and does not have a text at its beginning, as ours have."""
-    with contextlib.suppress(OSError), path.open("rb") as file:  # a folder is refused later
-        if mark.encode() not in file.read(4096):
-            raise InputError(f"{path}: exists and is not from an earlier run; choose another name")
 
 
 @contextlib.contextmanager
@@ -147,16 +113,6 @@ def files_below(folder: Path) -> list[str]:
     return sorted(path.as_posix() for path in paths)
 
 
-def refuse_blocked(out: Path, names: Sequence[str]) -> None:
-    """Raise InputError for a folder where a file is to be written, or a file where a folder is."""
-    folders = {out / place for name in names for place in PurePosixPath(name).parents}
-    blocked = [out / name for name in names if (out / name).is_dir()]
-    blocked += [place for place in sorted(folders) if place.exists() and not place.is_dir()]
-    if blocked:
-        kind = "folder" if blocked[0].is_dir() else "file"
-        raise InputError(f"{blocked[0]}: is a {kind}, where the results would go; move it")
-
-
 def _refuse_links(out: Path, by_camera: Sequence[str]) -> None:
     """Refuse links to folders where results are written: they may lead anywhere."""
     work, folders = out / UNFINISHED, [out / name for name in (UNFINISHED, *by_camera)]
@@ -196,22 +152,32 @@ def _begin(work: Path, out: Path, identity: str | None) -> None:
     (work / NEW).mkdir()
     if identity is None:
         return
-    known, sealed = work / IDENTITY, _sealed(out, identity)
-    if not known.exists() or not hmac.compare_digest(known.read_bytes(), sealed):
+    known, content = work / IDENTITY, sealed(out, identity)
+    if not known.is_file() or not hmac.compare_digest(known.read_bytes(), content):
         if (work / VIEWS).exists():
             shutil.rmtree(work / VIEWS)
-        _write(known, sealed)
+        _write(known, content)
 
 
 def _commit(work: Path, out: Path, leftovers: Sequence[str], report: str) -> None:
     """Write the journal, from which on the run cannot fail any more, and move the files."""
     names = files_below(work / NEW)
     refuse_blocked(out, names)
+    if report in names:
+        _seal_report(work / NEW / report, out)
     last = [name for name in ("report.html", report) if name in names]
     moved = [*(name for name in names if name not in last), *last]
     removed = [*reversed(last), *(name for name in leftovers if name not in names)]
-    _write(work / JOURNAL, _sealed(out, json.dumps({"moved": moved, "removed": removed})))
+    _write(work / JOURNAL, sealed(out, json.dumps({"moved": moved, "removed": removed})))
     _publish(work, out)
+
+
+def _seal_report(path: Path, out: Path) -> None:
+    """Add the seal of its list of files to a report; without it, the next run ignores the list."""
+    report = json.loads(path.read_text("utf-8"))
+    content = {**report, "seal": report_seal(out, path.name, report["outputs"])}
+    text = json.dumps(content, indent=2, ensure_ascii=False)
+    path.write_text(text + "\n", "utf-8")
 
 
 def _publish(work: Path, out: Path) -> None:
@@ -219,7 +185,7 @@ def _publish(work: Path, out: Path) -> None:
 
     Old reports are removed first and new ones moved last: a folder with a report is complete.
     """
-    moved, removed = _journal(out).values()
+    moved, removed = read_journal(out).values()
     waiting = [name for name in moved if (work / NEW / name).exists()]
     for name in removed:
         if name in waiting or name not in moved:
@@ -239,50 +205,27 @@ def _end(work: Path, out: Path) -> None:
             (work / IDENTITY).unlink(missing_ok=True)
 
 
-def _journal(out: Path) -> dict[str, list[str]]:
-    """What a killed run of this user has still to move and remove; empty lists if nothing."""
-    with contextlib.suppress(OSError, ValueError):
-        content = (out / UNFINISHED / JOURNAL).read_bytes()
-        text = content.partition(b"\n")[2].decode("utf-8")
-        # A journal from elsewhere could remove or replace anything in the folder.
-        if hmac.compare_digest(content, _sealed(out, text)):
-            return json.loads(text)
-    return {"moved": [], "removed": []}
-
-
-def _sealed(out: Path, text: str) -> bytes:
-    """A text that is valid for this user and this folder only, after a line with its seal."""
-    return f"{seal(f'{out.resolve()} {text}')}\n{text}".encode()
-
-
 def _write(path: Path, content: bytes) -> None:
     partial = path.with_suffix(".part")
+    partial.unlink(missing_ok=True)  # opening a pipe of this name would block
     partial.write_bytes(content)
     partial.replace(path)
 
 
 def _leftovers(out: Path, report: str, by_camera: Sequence[str], keep: Sequence[Path]) -> list[str]:
-    """Pictures and scores of an earlier run, except inputs of this one.
-
-    The old report may be damaged or of another program: only pictures in the folders count.
-    """
-    inputs = [path.resolve() for path in keep]
-
-    def picture(path: PurePosixPath) -> bool:
-        return path.suffix in PICTURES and path.parts[0] in by_camera and ".." not in path.parts
+    """Pictures and scores of an earlier run, except inputs of this one."""
+    inputs = [os.path.realpath(path) for path in keep]
 
     def left(name: str) -> bool:
         path = out / name
-        read = any(path.resolve().is_relative_to(place) for place in inputs)
+        read = any(Path(os.path.realpath(path)).is_relative_to(place) for place in inputs)
         return (path.is_file() or path.is_symlink()) and not read
 
-    try:
-        outputs = read_table(out / report, remedy="")["outputs"]
-        names = [name for name in outputs if picture(PurePosixPath(name))]
-        names += [EVALUATION] if "result.json" in outputs else []
-        return [name for name in names if left(name)]
-    except (InputError, OSError, ValueError, LookupError, TypeError):
-        return []
+    outputs = earlier_outputs(out, report)
+    paths = [PurePosixPath(name) for name in outputs]
+    names = [str(p) for p in paths if p.suffix in PICTURES and p.parts[0] in by_camera]
+    names += [EVALUATION] if "result.json" in outputs else []
+    return [name for name in names if left(name)]
 
 
 @contextlib.contextmanager

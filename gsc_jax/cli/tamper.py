@@ -16,6 +16,7 @@ from gsc_jax.benchmark.simulate import REGIMES, decoy_labels, simulate
 from gsc_jax.benchmark.tamper import Tampered, tamper
 from gsc_jax.cli.options import Tamper
 from gsc_jax.cli.outputs import save_array, versions, write_json
+from gsc_jax.cli.ownership import refuse_blocked, refuse_foreign, refuse_overlap
 from gsc_jax.cli.pictures import contact_sheet, overlay
 from gsc_jax.cli.scene_input import (
     check_numbers,
@@ -24,10 +25,10 @@ from gsc_jax.cli.scene_input import (
     naming,
     read_scene,
 )
-from gsc_jax.cli.staging import earlier_outputs, files_below, refuse_overlap, replacing
+from gsc_jax.cli.staging import files_below, replacing
 from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.io.allocation import memory_limit
-from gsc_jax.io.cameras import save_cameras
+from gsc_jax.io.cameras import camera_files, save_cameras
 from gsc_jax.io.masks import image_path, write_mask, write_probability
 from gsc_jax.io.ply import load_ply, save_ply
 from gsc_jax.render.projection import NEAR
@@ -35,7 +36,10 @@ from gsc_jax.render.visibility import check_views
 from gsc_jax.scene import Camera, Gaussians, InputError
 from gsc_jax.splat import render
 
-OUTPUTS = ("scene.ply", "cameras.json", "labels.npy", "overview.png", "masks", "truth")
+REPORT = "edit.json"
+FILES = ("scene.ply", "cameras.json", "labels.npy", "overview.png", REPORT)
+BY_CAMERA = ("masks", "truth")
+"""Folders with a picture per camera."""
 OVERVIEW_ROWS = 4
 """Rows of overview.png: as many as fit on a screen."""
 
@@ -51,10 +55,11 @@ def run_tamper(options: Tamper, *, monitor: Monitor) -> tuple[list[str], list[st
     files = _check(options)
     scene, cameras = read_scene(options, warnings, monitor)
     cameras = choose_cameras(options, cameras, warnings)
+    names = _planned(options, cameras)
+    refuse_foreign(options.out, names, report=REPORT)
+    refuse_blocked(options.out, names)
     donor = _donor(options)
-    with replacing(
-        options.out, keep=files, report="edit.json", by_camera=("masks", "truth")
-    ) as folder:
+    with replacing(options.out, keep=files, report=REPORT, by_camera=BY_CAMERA) as folder:
         monitor.progress("edit", 0, 1)
         with naming(options.cameras or options.scene):
             warnings += check_views(scene.gaussians, cameras, near=options.near)
@@ -82,15 +87,17 @@ def _check(options: Tamper) -> list[Path]:
         raise InputError(f"--size {options.size:g}: expected a share above 0, up to 0.5")
     if (options.out / "result.json").exists():
         raise InputError(f"{options.out}: holds results of `locate`; give another --out")
-    existing = [name for name in OUTPUTS if (options.out / name).exists()]
-    if existing and "edit.json" not in earlier_outputs(options.out, "edit.json"):
-        raise InputError(
-            f"{options.out / existing[0]}: exists and is not from `tamper`; give another --out"
-        )
-    given = (options.scene, options.cameras, options.object)
-    files = [path for path in given if path is not None]
-    refuse_overlap(options.out, files, written=OUTPUTS)
+    files = [options.scene, *([options.object] if options.object else [])]
+    files += camera_files(options.cameras) if options.cameras else []
+    refuse_overlap(options.out, files, written=(*FILES, *BY_CAMERA))
     return files
+
+
+def _planned(options: Tamper, cameras: Sequence[Camera]) -> list[str]:
+    """Every file that is written, relative to the folder of --out."""
+    folders = ["truth"] if options.masks == "none" else BY_CAMERA
+    images = [image_path(folder, camera.name) for folder in folders for camera in cameras]
+    return [*FILES, *(path.as_posix() for path in images)]
 
 
 def _donor(options: Tamper) -> Gaussians | None:
@@ -170,9 +177,9 @@ def _write_description(
         "tampered": int(edited.labels.sum()),
         "visible": {name: round(float(share), 5) for name, share in shares},
         "versions": versions(),
-        "outputs": [*files_below(folder), "edit.json"],
+        "outputs": [*files_below(folder), REPORT],
     }
-    write_json(folder / "edit.json", description)
+    write_json(folder / REPORT, description)
 
 
 def _write_overview(

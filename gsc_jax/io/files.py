@@ -1,4 +1,4 @@
-"""Atomic writing of files, and the check that an input file exists."""
+"""Atomic writing of files, and the check that an input is a file."""
 
 import contextlib
 import uuid
@@ -32,10 +32,15 @@ def atomic(path: str | Path) -> Iterator[Path]:
 
 
 def existing_file(path: str | Path, *, expected: str) -> Path:
-    """Return the path if it is a file; else raise InputError with the kind of file `expected`."""
+    """Return the path if it is a file; else raise InputError with the kind of file `expected`.
+
+    Every reader calls this before it opens a file: a pipe or a device could block it for ever.
+    """
     path = Path(path)
     if path.is_dir():
         raise InputError(f"{path}: is a folder, expected {expected}; name the file in it")
+    if not path.is_file() and path.exists():
+        raise InputError(f"{path}: is a pipe or a device, expected {expected}; copy it to a file")
     if not path.is_file():
         raise InputError(f"{path}: no such file, expected {expected}; check the path")
     return path

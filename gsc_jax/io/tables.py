@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from gsc_jax.io.allocation import check_allocation
+from gsc_jax.io.files import existing_file
 from gsc_jax.io.validation import brief
 from gsc_jax.scene import InputError
 
@@ -32,6 +33,7 @@ def read_table(path: Path, *, remedy: str, max_bytes: int | None = None) -> Any:
         InputError: If the file cannot be read, is too large, or is not valid.
     """
     suffix = ".toml" if path.suffix.lower() == ".toml" else ".json"
+    existing_file(path, expected=suffix[1:].upper())
     try:
         check_allocation(path, BYTES_PER_CHARACTER * path.stat().st_size, max_bytes)
         content = PARSERS[suffix](path.read_text(encoding="utf-8-sig"))

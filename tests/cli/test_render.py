@@ -6,6 +6,7 @@ import shutil
 
 import imageio.v3 as iio
 import numpy as np
+import pytest
 from cli_case import FIXTURES, NAMES, contents, given, refused, run
 
 from gsc_jax.io.cameras import load_cameras, save_cameras
@@ -88,3 +89,19 @@ def test_images_are_not_written_through_links(case, tmp_path):
     argv = ["render", case / "scene.ply", "--cameras", tmp_path / "cameras.json", "--out", out]
     assert "is a link" in refused(*argv)
     assert not contents(elsewhere)
+
+
+@pytest.mark.parametrize("origin", ["written by others", "edited", "of another folder"])
+def test_a_list_that_this_program_did_not_write_there_removes_nothing(case, tmp_path, origin):
+    argv = ["render", case / "scene.ply", "--cameras", case, "--views", 1, "--out"]
+    out = tmp_path / "photos"
+    assert run(*argv, out if origin == "edited" else tmp_path / "other").code == 0
+    out.mkdir(exist_ok=True)
+    written = next(tmp_path.glob("*/render.json"))
+    report = {"outputs": ["render.json"]} if "others" in origin else json.loads(written.read_text())
+    if origin != "of another folder":
+        report["outputs"].append("c.png")
+    (out / "render.json").write_text(json.dumps(report))
+    (out / "c.png").write_bytes(b"mine")
+    assert "another --out" in refused(*argv, out)
+    assert (out / "c.png").read_bytes() == b"mine"

@@ -19,6 +19,12 @@ NAMES = ("highlight.ply", "labels.npy", "masks/a.png", "report.html", "result.js
 README = (Path(__file__).resolve().parents[2] / "README.md").read_text(encoding="utf-8")
 
 
+@pytest.fixture(autouse=True)
+def own_secret(tmp_path_factory, monkeypatch):
+    folder = tmp_path_factory.mktemp("cache")
+    monkeypatch.setattr(cache, "cache_folder", lambda: folder)
+
+
 def write(folder: Path, content: str, names: tuple[str, ...] = NAMES) -> None:
     """Files of one content, and a report that lists them."""
     for name in names:
@@ -28,10 +34,11 @@ def write(folder: Path, content: str, names: tuple[str, ...] = NAMES) -> None:
 
 
 @pytest.fixture
-def out(tmp_path) -> Path:
+def out(tmp_path, own_secret) -> Path:
     """Results of an earlier run with one more view, and their scores."""
     out = tmp_path / "out"
-    write(out, "old", (*NAMES, "masks/b.png"))
+    with replacing(out) as folder:
+        write(folder, "old", (*NAMES, "masks/b.png"))
     (out / "evaluation.json").write_text("old")
     return out
 
@@ -126,12 +133,6 @@ def test_two_runs_do_not_write_into_one_folder(out):
             raise AssertionError("both runs write")
         assert {name: contents(out)[name] for name in before} == before
     assert (out / "labels.npy").read_text() == "new"
-
-
-@pytest.fixture(autouse=True)
-def own_secret(tmp_path_factory, monkeypatch):
-    folder = tmp_path_factory.mktemp("cache")
-    monkeypatch.setattr(cache, "cache_folder", lambda: folder)
 
 
 def test_no_link_of_an_unfinished_run_is_followed(out, tmp_path):
@@ -238,9 +239,10 @@ def test_created_folders_are_removed_if_the_run_fails(tmp_path, error):
 
 def test_results_of_tamper_do_not_remove_a_report(tmp_path):
     write(tmp_path, "mine", ("report.html", "evaluation.json"))
-    (tmp_path / "result.json").rename(tmp_path / "edit.json")
-    with replacing(tmp_path, report="edit.json", by_camera=("masks",)) as folder:
-        (folder / "edit.json").write_text("new")
+    (tmp_path / "result.json").unlink()
+    for _ in range(2):
+        with replacing(tmp_path, report="edit.json", by_camera=("masks",)) as folder:
+            (folder / "edit.json").write_text('{"outputs": ["edit.json"]}')
     assert (tmp_path / "report.html").read_text() == "mine"
     assert (tmp_path / "evaluation.json").read_text() == "mine"
 

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gsc_jax.cli.options import View
+from gsc_jax.cli.ownership import refuse_foreign_file
 from gsc_jax.cli.results import Results, read_results
-from gsc_jax.cli.staging import refuse_foreign_file
 from gsc_jax.cli.viewer.access import Access, guarded
 from gsc_jax.cli.viewer.contents import Contents, viewer_contents
 from gsc_jax.cli.viewer.controls import add_viewer

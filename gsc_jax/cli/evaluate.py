@@ -16,7 +16,7 @@ from gsc_jax.cli.outputs import write_json
 from gsc_jax.cli.ownership import refuse_foreign_file
 from gsc_jax.cli.report.wording import share
 from gsc_jax.cli.results import Results, read_by_row, read_results, result_file
-from gsc_jax.cli.staging import EVALUATION
+from gsc_jax.cli.staging import EVALUATION, EVALUATION_MARK
 from gsc_jax.detectors.folder import FolderDetector
 from gsc_jax.evidence.detector import fit_to_view
 from gsc_jax.io.allocation import memory_limit
@@ -26,8 +26,6 @@ from gsc_jax.scene import Camera, InputError
 MEASURES = {"f1": "F1", "iou": "IoU", "precision": "precision", "recall": "recall"}
 """Titles of the columns, by property of `Confusion`."""
 NAME_WIDTH = 32
-BEGINNING = '{\n  "folder": '
-"""Beginning of a file of scores."""
 ASPECT_TOLERANCE = 0.02
 """Relative difference between the aspects of a truth and its view that rounding of the sizes of
 small images explains."""
@@ -44,7 +42,7 @@ def run_evaluate(options: Evaluate) -> tuple[list[str], list[str]]:
             file exists where the scores go.
     """
     out = options.out or options.folder / EVALUATION
-    refuse_foreign_file(out, BEGINNING)
+    refuse_foreign_file(out, EVALUATION_MARK)
     labels, masks = _file_and_folder(options.truth)
     limit = memory_limit(options.memory)
     results = read_results(options.folder, max_bytes=limit)

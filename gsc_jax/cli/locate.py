@@ -48,7 +48,6 @@ class Inputs:
     detector: Detector | None
     scene: PlyScene
     cameras: list[Camera]
-    files: list[Path]
     warnings: list[str]
 
 
@@ -93,7 +92,6 @@ def read_inputs(options: Locate, *, monitor: Monitor) -> Inputs:
         detector=detector,
         scene=scene,
         cameras=cameras,
-        files=files,
         warnings=warnings,
     )
 
@@ -109,7 +107,7 @@ def run_locate(options: Locate, *, monitor: Monitor | None = None) -> Located:
         inputs = read_inputs(options, monitor=monitor)
     scene, cameras = inputs.scene, inputs.cameras
     identity = _identity(inputs)
-    with replacing(options.out, keep=inputs.files, identity=identity) as folder:
+    with replacing(options.out, identity=identity) as folder:
         store = ArrayStore(views_of(folder), max_bytes=memory_limit(options.memory) // EXPANDED)
         result = locate(
             scene.gaussians,

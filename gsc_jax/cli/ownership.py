@@ -1,16 +1,19 @@
 """Which files in a folder of results are from an earlier run; all others are refused.
 
-A report (result.json, render.json, edit.json) lists the files of its run. The list counts only with
-a seal for this user and this folder, so that a report that was edited, copied or made by others
-lets no file be replaced or removed. The same holds for the journal of a run that was killed.
+A report (result.json, render.json, edit.json) lists the files of its run with their digests. A file
+is an output of that run as long as it is a regular file with this digest, behind no link. A list of
+anybody else therefore lets nothing be replaced or removed but what came with it. The journal of a
+run that was killed names files before they have been moved; it counts only with a seal.
 """
 
 import contextlib
+import hashlib
 import hmac
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
+from typing import Any
 
 from gsc_jax.cli.cache import seal
 from gsc_jax.io.files import existing_file
@@ -19,6 +22,8 @@ from gsc_jax.scene import InputError
 
 UNFINISHED, JOURNAL = ".unfinished", "journal.json"
 """Folder for everything unfinished, inside the folder of results, and the journal in it."""
+REPORTS = ("result.json", "render.json", "edit.json")
+"""Their own digests cannot be in them: what lists itself counts as a report."""
 
 
 def refuse_overlap(out: Path, inputs: Sequence[Path], *, written: Sequence[str]) -> None:
@@ -41,44 +46,73 @@ def refuse_overlap(out: Path, inputs: Sequence[Path], *, written: Sequence[str])
 
 
 def refuse_foreign(out: Path, names: Sequence[str], *, report: str) -> None:
-    """Raise InputError if one of the files exists and is not from an earlier run."""
-    own = set(earlier_outputs(out, report))
-    for name in names:
-        if os.path.lexists(out / name) and name not in own:
+    """Raise InputError if a file in the way is not an output of an earlier run as it was written.
+
+    In the way are the `names`, which are to be written, and the other outputs of that run.
+    """
+    digests, finished = listed_outputs(out, report), read_journal(out)
+    own = {*finished["moved"], *finished["removed"]}
+    for name in dict.fromkeys([*names, *digests]):
+        if os.path.lexists(out / name) and name not in own and not is_output(out, name, digests):
+            problem = "has changed since" if name in digests else "exists and is not from"
             raise InputError(
-                f"{out / name}: exists, and {report} does not list it as the output of an earlier "
-                "run of this user in this folder; give another --out"
+                f"{out / name}: {problem} the run that wrote {report}; give another --out"
             )
 
 
+def listed_outputs(out: Path, report: str) -> dict[str, Any]:
+    """Digests of the files that the report of an earlier run lists; that of itself is None."""
+    with contextlib.suppress(InputError, LookupError, TypeError):
+        digests = read_table(existing_file(out / report, expected="a report"), remedy="")["outputs"]
+        if isinstance(digests, dict) and None is digests[report]:
+            return digests
+    return {}
+
+
+def is_output(out: Path, name: str, digests: Mapping[str, Any]) -> bool:
+    """Whether a file in a folder of results is as it was written, by the digests in the report."""
+    if name not in digests or not os.path.lexists(out / name):
+        return False
+    root, path = Path(os.path.realpath(out)), Path(os.path.realpath(out / name))
+    if not path.is_relative_to(root) or path != root / name:
+        return False
+    return path.is_file() and (name in REPORTS or digest(path) == digests[name])
+
+
+def digest(path: Path) -> str:
+    """SHA-256 of a file."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
 def refuse_foreign_file(path: Path, mark: str) -> None:
-    """Raise InputError if a file exists and does not have a text at its beginning, as ours have."""
-    own = path.is_dir() or not os.path.lexists(path)  # a folder is refused later
-    with contextlib.suppress(InputError, OSError), existing_file(path, expected="").open("rb") as f:
-        own = mark.encode() in f.read(4096)
-    if not own:
+    """Raise InputError for a file that exists and `has_mark` does not recognise."""
+    if os.path.lexists(path) and not path.is_dir() and not has_mark(path, mark):
         raise InputError(f"{path}: exists and is not from an earlier run; choose another name")
 
 
+def has_mark(path: Path, mark: str) -> bool:
+    """Whether a file exists and has a text at its beginning, as all of its kind have."""
+    with contextlib.suppress(InputError, OSError), existing_file(path, expected="").open("rb") as f:
+        return mark.encode() in f.read(4096)
+    return False
+
+
 def refuse_blocked(out: Path, names: Sequence[str]) -> None:
-    """Raise InputError for a folder where a file is to be written, or a file where a folder is."""
+    """Raise InputError for links to folders where files are to be written: they may lead anywhere.
+
+    Also for a folder where a file is to be written, or a file where a folder is.
+    """
     folders = {out / place for name in names for place in PurePosixPath(name).parents}
+    if links := sorted(place for place in folders - {out} if place.is_symlink()):
+        raise InputError(
+            f"{links[0]}: is a link, and results are written inside {out} only; remove the link"
+        )
     blocked = [out / name for name in names if (out / name).is_dir()]
     blocked += [place for place in sorted(folders) if place.exists() and not place.is_dir()]
     if blocked:
         kind = "folder" if blocked[0].is_dir() else "file"
         raise InputError(f"{blocked[0]}: is a {kind}, where the results would go; move it")
-
-
-def earlier_outputs(out: Path, report: str) -> list[str]:
-    """Files that earlier runs of this user have written to a folder, by its report and journal."""
-    names = read_journal(out)["moved"]
-    with contextlib.suppress(InputError, OSError, LookupError, TypeError):
-        content = read_table(out / report, remedy="")
-        valid = report_seal(out, report, content["outputs"])
-        if hmac.compare_digest(content["seal"], valid):
-            return [*names, *content["outputs"]]
-    return names
 
 
 def read_journal(out: Path) -> dict[str, list[str]]:
@@ -95,13 +129,4 @@ def read_journal(out: Path) -> dict[str, list[str]]:
 
 def sealed(out: Path, text: str) -> bytes:
     """A text that is valid for this user and this folder only, after a line with its seal."""
-    return f"{_seal(out, text)}\n{text}".encode()
-
-
-def report_seal(out: Path, report: str, outputs: Sequence[str]) -> str:
-    """The seal of the list of files of a report, for this user and this folder only."""
-    return _seal(out, json.dumps([report, outputs]))
-
-
-def _seal(out: Path, text: str) -> str:
-    return seal(f"{os.path.realpath(out)} {text}")
+    return f"{seal(f'{os.path.realpath(out)} {text}')}\n{text}".encode()

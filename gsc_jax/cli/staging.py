@@ -23,10 +23,12 @@ import filelock
 from gsc_jax.cli.ownership import (
     JOURNAL,
     UNFINISHED,
-    earlier_outputs,
+    digest,
+    has_mark,
+    is_output,
+    listed_outputs,
     read_journal,
     refuse_blocked,
-    report_seal,
     sealed,
 )
 from gsc_jax.scene import InputError
@@ -52,26 +54,23 @@ FILES = tuple(name for name in OUTPUTS if not name.endswith("/"))
 BY_CAMERA = tuple(name.rstrip("/") for name in OUTPUTS if name.endswith("/"))
 """Folders with a picture per camera."""
 PICTURES = (".png", ".jpg")
-EVALUATION = "evaluation.json"
-"""Scores of the results; they do not apply to the results of another run."""
+EVALUATION, EVALUATION_MARK = "evaluation.json", '{\n  "folder": '
+"""Scores of the results, and their beginning; they do not apply to the results of another run."""
 
 
 @contextlib.contextmanager
 def replacing(
     out: Path,
     *,
-    keep: Sequence[Path] = (),
     report: str = "result.json",
-    by_camera: Sequence[str] = BY_CAMERA,
     identity: str | None = None,
 ) -> Iterator[Path]:
     """Provide a temporary folder whose files are moved to `out` if the block succeeds.
 
     Args:
         out: The folder of results, created if missing.
-        keep: Files and folders that the run reads; none of them is removed as a leftover.
-        report: The file that lists the `outputs`; it is moved last, after report.html.
-        by_camera: Folders with a picture per camera, in which an earlier run may have left some.
+        report: The file whose `outputs` get a digest for every file; it is moved last, after
+            report.html.
         identity: Of the arrays that the run keeps in `views_of` the provided folder. If the block
             fails, they stay there for the next run of the same identity.
 
@@ -79,7 +78,7 @@ def replacing(
         InputError: if `out` cannot be written to, another run is writing to it, a folder exists
             where a file belongs, or a folder inside it is a link.
     """
-    _refuse_links(out, by_camera)
+    _refuse_links(out / UNFINISHED)
     created = [place for place in (out, *out.parents) if not place.exists()]
     work = out / UNFINISHED
     try:
@@ -89,7 +88,7 @@ def replacing(
             try:
                 yield work / NEW
                 with _naming(out):
-                    _commit(work, out, _leftovers(out, report, by_camera, keep), report)
+                    _commit(work, out, report)
                     if identity is not None:
                         shutil.rmtree(work / VIEWS, ignore_errors=True)
             except InputError as error:
@@ -113,14 +112,12 @@ def files_below(folder: Path) -> list[str]:
     return sorted(path.as_posix() for path in paths)
 
 
-def _refuse_links(out: Path, by_camera: Sequence[str]) -> None:
-    """Refuse links to folders where results are written: they may lead anywhere."""
-    work, folders = out / UNFINISHED, [out / name for name in (UNFINISHED, *by_camera)]
-    for place in [*folders, *(place for folder in folders for place in folder.rglob("*"))]:
-        # Elsewhere, a link to a file is replaced and not followed.
-        if place.is_symlink() and (work in place.parents or not place.is_file()):
+def _refuse_links(work: Path) -> None:
+    """Refuse links in the place of anything unfinished: they may lead anywhere."""
+    for place in (work, *work.rglob("*")):
+        if place.is_symlink():
             raise InputError(
-                f"{place}: is a link, and results are written inside {out} only; remove the link"
+                f"{place}: is a link, and results are written inside {work.parent} only; remove it"
             )
 
 
@@ -159,25 +156,25 @@ def _begin(work: Path, out: Path, identity: str | None) -> None:
         _write(known, content)
 
 
-def _commit(work: Path, out: Path, leftovers: Sequence[str], report: str) -> None:
+def _commit(work: Path, out: Path, report: str) -> None:
     """Write the journal, from which on the run cannot fail any more, and move the files."""
     names = files_below(work / NEW)
     refuse_blocked(out, names)
     if report in names:
-        _seal_report(work / NEW / report, out)
+        _add_digests(work / NEW, names, report)
     last = [name for name in ("report.html", report) if name in names]
     moved = [*(name for name in names if name not in last), *last]
-    removed = [*reversed(last), *(name for name in leftovers if name not in names)]
+    removed = [*reversed(last), *_leftovers(out, report, names)]
     _write(work / JOURNAL, sealed(out, json.dumps({"moved": moved, "removed": removed})))
     _publish(work, out)
 
 
-def _seal_report(path: Path, out: Path) -> None:
-    """Add the seal of its list of files to a report; without it, the next run ignores the list."""
-    report = json.loads(path.read_text("utf-8"))
-    content = {**report, "seal": report_seal(out, path.name, report["outputs"])}
+def _add_digests(new: Path, names: Sequence[str], report: str) -> None:
+    """List the files in the report, with the digests by which the next run recognises them."""
+    content = json.loads((new / report).read_text("utf-8"))
+    content["outputs"] = {name: None if name == report else digest(new / name) for name in names}
     text = json.dumps(content, indent=2, ensure_ascii=False)
-    path.write_text(text + "\n", "utf-8")
+    (new / report).write_text(text + "\n", "utf-8")
 
 
 def _publish(work: Path, out: Path) -> None:
@@ -186,6 +183,7 @@ def _publish(work: Path, out: Path) -> None:
     Old reports are removed first and new ones moved last: a folder with a report is complete.
     """
     moved, removed = read_journal(out).values()
+    refuse_blocked(out, [*moved, *removed])
     waiting = [name for name in moved if (work / NEW / name).exists()]
     for name in removed:
         if name in waiting or name not in moved:
@@ -212,20 +210,12 @@ def _write(path: Path, content: bytes) -> None:
     partial.replace(path)
 
 
-def _leftovers(out: Path, report: str, by_camera: Sequence[str], keep: Sequence[Path]) -> list[str]:
-    """Pictures and scores of an earlier run, except inputs of this one."""
-    inputs = [os.path.realpath(path) for path in keep]
-
-    def left(name: str) -> bool:
-        path = out / name
-        read = any(Path(os.path.realpath(path)).is_relative_to(place) for place in inputs)
-        return (path.is_file() or path.is_symlink()) and not read
-
-    outputs = earlier_outputs(out, report)
-    paths = [PurePosixPath(name) for name in outputs]
-    names = [str(p) for p in paths if p.suffix in PICTURES and p.parts[0] in by_camera]
-    names += [EVALUATION] if "result.json" in outputs else []
-    return [name for name in names if left(name)]
+def _leftovers(out: Path, report: str, names: Sequence[str]) -> list[str]:
+    """Pictures and scores of an earlier run that this one, which writes `names`, does not replace."""
+    digests = listed_outputs(out, report)
+    old = [name for name in digests if name not in names and name.endswith(PICTURES)]
+    scored = "result.json" in digests and has_mark(out / EVALUATION, EVALUATION_MARK)
+    return [*(name for name in old if is_output(out, name, digests)), *[EVALUATION] * scored]
 
 
 @contextlib.contextmanager

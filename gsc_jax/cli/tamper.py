@@ -25,7 +25,7 @@ from gsc_jax.cli.scene_input import (
     naming,
     read_scene,
 )
-from gsc_jax.cli.staging import files_below, replacing
+from gsc_jax.cli.staging import replacing
 from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.io.allocation import memory_limit
 from gsc_jax.io.cameras import camera_files, save_cameras
@@ -52,14 +52,14 @@ def run_tamper(options: Tamper, *, monitor: Monitor) -> tuple[list[str], list[st
     """
     warnings: list[str] = []
     check_numbers(options)
-    files = _check(options)
+    _check(options)
     scene, cameras = read_scene(options, warnings, monitor)
     cameras = choose_cameras(options, cameras, warnings)
     names = _planned(options, cameras)
     refuse_foreign(options.out, names, report=REPORT)
     refuse_blocked(options.out, names)
     donor = _donor(options)
-    with replacing(options.out, keep=files, report=REPORT, by_camera=BY_CAMERA) as folder:
+    with replacing(options.out, report=REPORT) as folder:
         monitor.progress("edit", 0, 1)
         with naming(options.cameras or options.scene):
             warnings += check_views(scene.gaussians, cameras, near=options.near)
@@ -79,8 +79,8 @@ def run_tamper(options: Tamper, *, monitor: Monitor) -> tuple[list[str], list[st
     return _lines(options, edited), warnings
 
 
-def _check(options: Tamper) -> list[Path]:
-    """Refuse invalid options before anything is read; return the files that will be read."""
+def _check(options: Tamper) -> None:
+    """Refuse invalid options before anything is read."""
     if options.object is not None and options.edit != "incorporation":
         raise InputError(f"--object: a {options.edit} pastes nothing; leave it out")
     if not 0 < options.size <= 0.5:
@@ -90,7 +90,6 @@ def _check(options: Tamper) -> list[Path]:
     files = [options.scene, *([options.object] if options.object else [])]
     files += camera_files(options.cameras) if options.cameras else []
     refuse_overlap(options.out, files, written=(*FILES, *BY_CAMERA))
-    return files
 
 
 def _planned(options: Tamper, cameras: Sequence[Camera]) -> list[str]:
@@ -177,7 +176,6 @@ def _write_description(
         "tampered": int(edited.labels.sum()),
         "visible": {name: round(float(share), 5) for name, share in shares},
         "versions": versions(),
-        "outputs": [*files_below(folder), REPORT],
     }
     write_json(folder / REPORT, description)
 

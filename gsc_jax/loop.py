@@ -139,8 +139,7 @@ def fit(
     """Optimise the attribute on evidence, without rendering.
 
     Args:
-        evidence: Evidence of V views, shapes (V, N); may be sparse, on the host or on disk, since
-            one view at a time is read.
+        evidence: Evidence of V views, shapes (V, N), of which one view at a time is read.
         r: Initial attribute, shape (N,).
         attributes: Attributes F of the 3D loss, shape (A, N).
         order: View of each iteration, shape (iterations,), int32.

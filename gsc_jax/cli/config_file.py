@@ -65,8 +65,7 @@ class ConfigFile:
 def read_config_file(path: str | Path) -> ConfigFile:
     """Read a result.json, its folder, or a .toml or .json file with `command` and `config`.
 
-    Raises:
-        InputError: if the file cannot be read, has an unknown key, a wrong type or a contradiction.
+    An unknown key, a wrong type or a contradiction raises InputError.
     """
     path = Path(path)
     path = result_file(path, "result.json") if path.is_dir() else path

@@ -73,11 +73,7 @@ class Case:
 def run_demo(
     options: Demo, *, made: MadeScene | None = None, monitor: Monitor | None = None
 ) -> list[str]:
-    """Generate the scene, by default `tampered_room`, run every method; return lines to print.
-
-    Raises:
-        InputError: if the folder cannot be written to, or holds files of another origin.
-    """
+    """Generate the scene, by default `tampered_room`, run every method; return lines to print."""
     _refuse_foreign(options.out)
     monitor = monitor or Monitor()
     made = made or tampered_room(seed=options.seed)

@@ -13,11 +13,7 @@ from gsc_jax.scene import InputError
 
 
 def dry_run(options: Locate, *, monitor: Monitor) -> tuple[list[str], list[str]]:
-    """Describe a run of `locate`, which is not started: lines to print, and warnings.
-
-    Raises:
-        InputError: if the run would raise it for its input or its folder.
-    """
+    """Describe a run of `locate`, which is not started: lines to print, and warnings."""
     _check_writable(options.out)
     inputs = read_inputs(options, monitor=monitor)
     config: dict[str, Any] = dataclasses.asdict(inputs.estimator)  # pyright: ignore[reportArgumentType]

@@ -35,12 +35,7 @@ Masks = dict[str, np.ndarray]
 
 
 def run_evaluate(options: Evaluate) -> tuple[list[str], list[str]]:
-    """Compare results with the truth and write the scores; return lines to print, and warnings.
-
-    Raises:
-        InputError: if the folder holds no results, the truth does not belong to them, or another
-            file exists where the scores go.
-    """
+    """Compare results with the truth and write the scores; return lines to print, and warnings."""
     out = options.out or options.folder / EVALUATION
     refuse_foreign_file(out, EVALUATION_MARK)
     labels, masks = _file_and_folder(options.truth)

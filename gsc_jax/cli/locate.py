@@ -4,7 +4,6 @@ import dataclasses
 import hashlib
 import uuid
 from importlib.metadata import distributions
-from pathlib import Path
 
 import jax
 import numpy as np
@@ -52,11 +51,7 @@ class Inputs:
 
 
 def read_inputs(options: Locate, *, monitor: Monitor) -> Inputs:
-    """Read and check everything that a run of `locate` is given.
-
-    Raises:
-        InputError: if an input is invalid, or the folder of results would overwrite one.
-    """
+    """Read and check everything that a run of `locate` is given; InputError if an input is invalid."""
     check_numbers(options)
     if (options.out / "edit.json").exists():
         raise InputError(
@@ -97,11 +92,7 @@ def read_inputs(options: Locate, *, monitor: Monitor) -> Inputs:
 
 
 def run_locate(options: Locate, *, monitor: Monitor | None = None) -> Located:
-    """Find the tampered Gaussians of a scene file and write the results.
-
-    Raises:
-        InputError: if an input is invalid or the results cannot be written.
-    """
+    """Find the tampered Gaussians of a scene file and write the results."""
     monitor = monitor or Monitor()
     with monitor.stage("load"):
         inputs = read_inputs(options, monitor=monitor)

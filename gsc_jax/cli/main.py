@@ -99,11 +99,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def parse(argv: Sequence[str]) -> Command:
-    """Parse the arguments; with --config, the file supplies the defaults of `locate`.
-
-    Raises:
-        InputError: if the file of --config is invalid.
-    """
+    """Parse the arguments; with --config, the file supplies the defaults of `locate`."""
     finder = argparse.ArgumentParser(prog="gsc-jax locate", add_help=False, allow_abbrev=False)
     finder.add_argument("--config", type=Path)
     path = finder.parse_known_args(argv)[0].config

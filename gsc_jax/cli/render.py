@@ -28,12 +28,7 @@ CAMERAS = "cameras.json"
 
 
 def run_render(options: Render, *, monitor: Monitor) -> tuple[list[str], list[str]]:
-    """Render a scene file from its cameras; return lines to print, and warnings.
-
-    Raises:
-        InputError: if an input is invalid, an image cannot be written, or a file exists in its
-            place that is not from an earlier run.
-    """
+    """Render a scene file from its cameras; return lines to print, and warnings."""
     warnings: list[str] = []
     check_numbers(options)
     if not all(0 <= channel <= 1 for channel in options.background):

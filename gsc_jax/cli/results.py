@@ -94,11 +94,8 @@ class Results:
 def read_results(folder: str | Path, *, max_bytes: int | None = None) -> Results:
     """Read the results of `gsc-jax locate` from the --out of the run.
 
-    `max_bytes` is the memory that may be allocated; see `memory_limit` for the default.
-
-    Raises:
-        InputError: if the folder holds no results, or files of it are missing, damaged, of another
-            version or of another run, or take more memory.
+    `max_bytes` is the memory that may be allocated; see `memory_limit` for the default. InputError
+    if files are missing, damaged, of another version or of another run, or take more memory.
     """
     folder = Path(folder)
     report = _read_report(folder)
@@ -141,11 +138,7 @@ def result_file(folder: Path, name: str | Path) -> Path:
 
 
 def read_by_row(path: Path, total: int) -> np.ndarray:
-    """Read a .npy file with a number per row of a scene file.
-
-    Raises:
-        InputError: if it cannot be read, or does not hold `total` numbers.
-    """
+    """Read a .npy file of `total` numbers, one per row of a scene file, or raise InputError."""
     expected = f"a .npy of {total:,} numbers, one per row of the scene"
     existing_file(path, expected=expected)
     try:

@@ -36,11 +36,7 @@ def check_numbers(options: SceneOptions) -> None:
 def read_scene(
     options: SceneOptions, warnings: list[str], monitor: Monitor
 ) -> tuple[PlyScene, list[Camera]]:
-    """Read the scene file and the cameras, scaled and with names that can name files.
-
-    Raises:
-        InputError: if a file is invalid.
-    """
+    """Read the scene file and the cameras, scaled and with names that can name files."""
     monitor.progress("load", 0, 2)
     scene = read_ply(options.scene, max_bytes=memory_limit(options.memory))
     if scene.dropped:

@@ -13,10 +13,9 @@ them leaves the journal, and the next run begins by moving the rest.
 import contextlib
 import hmac
 import json
-import os
 import shutil
 from collections.abc import Iterator, Sequence
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 import filelock
 

@@ -45,11 +45,7 @@ OVERVIEW_ROWS = 4
 
 
 def run_tamper(options: Tamper, *, monitor: Monitor) -> tuple[list[str], list[str]]:
-    """Edit a scene file and write it with its truth; return lines to print, and warnings.
-
-    Raises:
-        InputError: if an input is invalid, or no place for the edit is found.
-    """
+    """Edit a scene file and write it with its truth; return lines to print, and warnings."""
     warnings: list[str] = []
     check_numbers(options)
     _check(options)

@@ -54,12 +54,8 @@ class Network:
     ):
         """Load a model with `open_session`; raise InputError if its tensors differ from the specs.
 
-        Args:
-            path: The .onnx file.
-            inputs: All inputs, in the order of the model.
-            outputs: Outputs to compute, by position or name; the model may have others.
-            providers: See `open_session`.
-            threads: See `open_session`.
+        `inputs` are all inputs in the order of the model. `outputs` are those to compute, by
+        position or name; the model may have others.
         """
         self.path = path
         self._session = open_session(path, providers=providers, threads=threads)

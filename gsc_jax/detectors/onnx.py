@@ -45,16 +45,13 @@ class OnnxDetector(NetworkDetector):
         providers: Sequence[str] = CPU,
         threads: int = 0,
     ):
-        """Load a model and compare it with the spec.
+        """Load a model and compare it with the spec; InputError if its tensors contradict it.
 
         Args:
             path: The .onnx file.
             spec: Input and output conventions, or the name of one of `PRESETS`.
             providers: See `open_session`.
             threads: Threads of one inference, 0 for all cores.
-
-        Raises:
-            InputError: If the file is not a valid model, or its tensors contradict the spec.
         """
         self.path = Path(path)
         super().__init__(self.path)

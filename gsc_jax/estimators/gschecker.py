@@ -99,13 +99,8 @@ class GSChecker(Estimator):
     def estimate(self, observation: Observation, prior: Prior | None = None) -> Finding:
         """Vote, optimise the attribute, normalise and threshold it.
 
-        Args:
-            observation: Evidence and votes of V views of N Gaussians.
-            prior: Ignored, with a warning.
-
-        Returns:
-            The finding. It is defined also if all masks are empty or full, where the attribute
-            means nothing.
+        The prior is ignored, with a warning. The finding is defined also if all masks are empty or
+        full, where the attribute means nothing.
         """
         r = self.initial_attribute(observation)  # eq. 6, from the votes of eq. 5
         F = ATTRIBUTES[self.attributes](observation.gaussians)  # what eq. 7 compares

@@ -135,12 +135,7 @@ class Estimator(abc.ABC):
 
     @abc.abstractmethod
     def estimate(self, observation: Observation, prior: Prior | None = None) -> Finding:
-        """Compute scores and labels; deterministic for given fields.
-
-        Args:
-            observation: Evidence and votes of V views of N Gaussians.
-            prior: Probability per Gaussian from another source.
-        """
+        """Compute scores and labels from V views of N Gaussians; deterministic for given fields."""
 
     def for_views(self, views: int) -> Self:
         """The estimator with defaults that depend on the number of views filled in."""
@@ -161,11 +156,8 @@ def check_fields(estimator: Estimator, ranges: Mapping[str, tuple[float, float]]
 def unanimous(evidence: EvidenceOfViews) -> Finding | None:
     """Finding for masks that are all empty or all full, from which nothing can be estimated.
 
-    Args:
-        evidence: Evidence of V views, shapes (V, N).
-
-    Returns:
-        No labels if all masks are empty, all seen Gaussians if all masks are full, else None.
+    It labels nothing if all masks are empty, and all seen Gaussians if all are full; else it is
+    None.
     """
     seen = evidence.seen
     if evidence.none_flagged:

@@ -60,10 +60,8 @@ def is_colmap(folder: Path) -> bool:
 def read_colmap(folder: Path, *, max_bytes: int | None = None) -> list[Camera]:
     """Read the registered images of a COLMAP model with their full intrinsics, sorted by name.
 
-    Binary files are preferred. `max_bytes` is the memory that may be allocated.
-
-    Raises:
-        InputError: If a file is missing, damaged or too large, or a camera is distorted.
+    Binary files are preferred. A file that is missing, damaged or takes more than `max_bytes` of
+    memory, or a distorted camera, raises InputError.
     """
     binary = all((folder / f"{kind}.bin").exists() for kind in ("cameras", "images"))
     read_cameras, read_images = _BINARY if binary else _TEXT

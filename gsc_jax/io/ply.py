@@ -114,10 +114,7 @@ def load_ply(path: str | Path, *, max_bytes: int | None = None) -> Gaussians:
         max_bytes: Memory that may be allocated; see `memory_limit` for the default.
 
     Returns:
-        The Gaussians that can be rendered, NumPy float32.
-
-    Raises:
-        InputError: As `read_ply`.
+        The Gaussians that can be rendered, NumPy float32; InputError as for `read_ply`.
     """
     scene = read_ply(path, max_bytes=max_bytes)
     if scene.dropped:

@@ -22,15 +22,10 @@ PARSERS = {".json": json.loads, ".toml": tomllib.loads}
 
 
 def read_table(path: Path, *, remedy: str, max_bytes: int | None = None) -> Any:
-    """Parse a file as TOML if its suffix is .toml, else as JSON.
+    """Parse a file in UTF-8 as TOML if its suffix is .toml, else as JSON.
 
-    Args:
-        path: The file, in UTF-8.
-        remedy: End of the error message, what to do about a damaged file.
-        max_bytes: Memory that may be allocated; see `memory_limit` for the default.
-
-    Raises:
-        InputError: If the file cannot be read, is too large, or is not valid.
+    A file that cannot be read, is not valid or takes more than `max_bytes` of memory raises
+    InputError, whose message ends with the `remedy`.
     """
     suffix = ".toml" if path.suffix.lower() == ".toml" else ".json"
     existing_file(path, expected=suffix[1:].upper())

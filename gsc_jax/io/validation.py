@@ -18,9 +18,8 @@ def one_line(
     """Describe the first invalid key of a validated table.
 
     Args:
-        error: The error that pydantic raised for `given`.
+        error: The error that pydantic raised for `given`, the validated value.
         where: The file, and the table in it if there are several: "net.toml".
-        given: The validated value, in which the key is located.
         known: All valid keys, to suggest one for a misspelled key.
 
     Returns:

@@ -37,15 +37,11 @@ NO_CONVENTION = (
 def check_views(
     gaussians: Gaussians, cameras: Sequence[Camera], *, near: float = NEAR
 ) -> list[str]:
-    """Check the share of Gaussians that are visible from at least one camera.
+    """Check the share of Gaussians that are visible from at least one camera; return warnings.
 
-    Returns:
-        Warnings, one line each: cameras that see nothing, a low share, a near plane (in world
-        units) that cuts most away.
-
-    Raises:
-        InputError: if there are no cameras or no Gaussians, or if the share is below 1 %.
-        ValueError: if the shapes of the parameters do not belong together.
+    They are one line each: cameras that see nothing, a low share, a near plane (in world units)
+    that cuts most away. A share below 1 %, also for want of cameras or Gaussians, raises
+    InputError.
     """
     check_shapes(gaussians)
     if not cameras:

@@ -19,15 +19,13 @@ LEGEND_COLOURS = 9
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Contents:
-    """What a viewer shows.
+    """What a viewer shows: N splats, the cameras of the run, of which it starts at the first.
 
     Attributes:
         title: Name of the folder of results.
         sentences: What the run found.
-        splats: N splats in the colours of the scene.
         score: Scores, shape (N,) float32.
         threshold: Score above which the run labelled a Gaussian as tampered.
-        poses: Cameras of the run, at least one; the viewer starts at the first.
         up: Unit up direction, shape (3,).
         near: Near plane in world units.
         far: Far plane in world units.

@@ -15,12 +15,7 @@ from gsc_jax.cli.viewer.poses import Pose
 
 
 def viewer_page(client: str, contents: Contents) -> str:
-    """Render a page that needs neither server nor network.
-
-    Args:
-        client: HTML of viser's client with the scene inside.
-        contents: What the page shows.
-    """
+    """Render a page without server and network; `client` is viser's page, with the scene inside."""
     from jinja2 import Environment
 
     template = files("gsc_jax.cli.viewer").joinpath("viewer.html").read_text(encoding="utf-8")

@@ -35,13 +35,10 @@ class Pose:
 
 
 def pose(camera: Camera, means: Array, *, up: Array, near: float = NEAR) -> Pose:
-    """Convert a camera.
+    """Convert a camera; its principal point is taken to be the middle of the image.
 
-    Args:
-        camera: The camera; its principal point is taken to be the middle of the image.
-        means: Centres of some or all Gaussians, shape (N, 3).
-        up: Unit up direction of the scene, shape (3,).
-        near: Near plane in world units.
+    The depth of what it looks at comes from the `means` of some or all Gaussians, (N, 3), beyond
+    the near plane; `up` is the unit up direction of the scene.
     """
     from scipy.spatial.transform import Rotation
 

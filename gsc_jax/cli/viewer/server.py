@@ -37,16 +37,10 @@ def run_view(
     say: Callable[[str], None] = print,
     wait: Callable[[], object] | None = None,
 ) -> tuple[list[str], list[str]]:
-    """Show results in 3D: serve a page until interrupted, or write one.
+    """Show results in 3D: serve a page until interrupted, or write one; lines, and warnings.
 
-    Args:
-        options: Options of the command line.
-        monitor: Receives the progress.
-        say: Prints a line while the command runs: addresses and notes.
-        wait: Blocks while the page is served and ends with KeyboardInterrupt; by default forever.
-
-    Returns:
-        Lines of the summary, and warnings.
+    `say` prints a line while the command runs: addresses and notes. `wait` blocks while the page is
+    served and ends with KeyboardInterrupt; by default forever.
 
     Raises:
         InputError: if the results cannot be read, viser is missing, the page cannot be written, or

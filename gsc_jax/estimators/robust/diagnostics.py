@@ -14,15 +14,9 @@ FROM_PRIOR = " The labels come from the attributes of the Gaussians."
 def reliability(
     evidence: EvidenceOfViews, labels: np.ndarray, roles: Roles | None
 ) -> tuple[Reliability, ...]:
-    """Reliability of the mask of each view.
+    """Reliability of the mask of each of V views, given the labels, (N,) bool.
 
-    Args:
-        evidence: Evidence of V views, shapes (V, N).
-        labels: Labelled Gaussians, shape (N,) bool.
-        roles: Roles of the latent classes.
-
-    Returns:
-        A word per view; empty if nothing is labelled or all Gaussians belong to one class.
+    It is empty if nothing is labelled or all Gaussians belong to one class (no roles).
     """
     if roles is None or not labels.any():
         return ()
@@ -48,17 +42,10 @@ def warnings(
     verdicts: tuple[float, float],
     prior: Prior | None = None,
 ) -> list[str]:
-    """Warnings where masks disagree with each other or with the prior.
+    """Sentences where masks disagree with each other or with the prior.
 
-    Args:
-        roles: Roles of the latent classes; None if all Gaussians belong to one class.
-        agreed: Gaussians that the masks alone label, shape (N,) bool.
-        labels: Labelled Gaussians, shape (N,) bool.
-        verdicts: Scene probability from the masks alone, and with the prior.
-        prior: Probability per Gaussian from another source.
-
-    Returns:
-        Sentences.
+    `agreed` are the Gaussians that the masks alone label, `labels` those that are labelled, both
+    (N,) bool; `verdicts` are the scene probabilities from the masks alone, and with the prior.
     """
     if roles is None:
         return [DISAGREEMENT + FROM_PRIOR * bool(labels.any())]

@@ -60,7 +60,7 @@ class Fit:
 def fit_classes(
     flagged: Array, clear: Array, *, counts: Sequence[int], restarts: int = 2, seed: int = 0
 ) -> Fit:
-    """Fit latent classes to how often Gaussians are flagged in each view.
+    """Fit latent classes to how often Gaussians are flagged in each view; deterministic.
 
     Args:
         flagged: Effective number of flagged pixels per view and Gaussian, shape (V, S).
@@ -68,9 +68,6 @@ def fit_classes(
         counts: Candidate numbers of classes.
         restarts: Number of starts for each candidate.
         seed: Seed of the starts.
-
-    Returns:
-        The fit; deterministic.
 
     Raises:
         ValueError: if there is no candidate, no start or no Gaussian.

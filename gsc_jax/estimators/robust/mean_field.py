@@ -25,19 +25,15 @@ def smooth(
     strength: float,
     neighbours: int,
 ) -> np.ndarray:
-    """Class probabilities after mean-field smoothing.
+    """Class probabilities (N, C) after mean-field smoothing.
 
     Args:
         logits: Unnormalised log probability of each class, shape (N, C).
         tampered: Classes that count as tampered, shape (C,) bool.
         means: Centres in any unit, shape (N, 3).
-        seen: Mask of the Gaussians visible in at least one view, shape (N,) bool; the others get
-            and send no message.
+        seen: Visible Gaussians, shape (N,) bool; the others get and send no message.
         strength: Log odds that neighbours contribute if they all belong to one class.
         neighbours: Number of neighbours.
-
-    Returns:
-        Probabilities that add up to 1, shape (N, C).
     """
     probability = softmax(logits, axis=-1)
     means = np.asarray(means)

@@ -19,27 +19,15 @@ PROBABILITY_FLOOR = 1e-9
 def fuse(
     probability: np.ndarray, verdict: float, seen: np.ndarray, prior: Prior, weight: float = 1.0
 ) -> tuple[np.ndarray, float]:
-    """Fuse probabilities from masks with a prior.
+    """Fuse probabilities (N,) from masks with a prior: probabilities (N,) and scene probability.
 
     Masks and prior are each correct or not, independently: the masks with the probability
     `verdict`, the prior with that of its own verdict. If only one is correct, it alone counts. If
     both are, the masks count, or both equally for an exact prior. If neither is, the masks count.
+    The `weight` of the prior is in [0, 1]; one of another number of Gaussians raises ValueError.
 
     The fused verdict includes only evidence of the prior *for* an edit: an edit need not show in
     the prior, so that its absence there is no evidence.
-
-    Args:
-        probability: Probability of N Gaussians from the masks, shape (N,).
-        verdict: Scene probability from the masks.
-        seen: Mask of the Gaussians visible in at least one view, shape (N,) bool.
-        prior: The prior.
-        weight: Weight of the prior, in [0, 1].
-
-    Returns:
-        Probabilities, shape (N,) float32, and the scene probability.
-
-    Raises:
-        ValueError: if the prior has another number of Gaussians.
     """
     if len(prior.probability) != len(probability):
         raise ValueError(
@@ -55,18 +43,11 @@ def fuse(
 
 
 def linear_pool(first: np.ndarray, second: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """Pool two probabilities of each Gaussian linearly (Stone, 1961).
+    """Pool two probabilities of each Gaussian linearly (Stone, 1961); all shapes are (N,).
 
-    The mean of two estimates may label nothing although one of them does. In this case that one
-    alone is returned, or of two the one with the larger share.
-
-    Args:
-        first: Probabilities, shape (N,).
-        second: Probabilities, shape (N,).
-        share: Weight of the second, in [0, 1], shape (N,).
-
-    Returns:
-        Pooled probabilities, shape (N,) float32.
+    `share` is the weight of the second, in [0, 1]. The mean of two estimates may label nothing
+    although one of them does. In this case that one alone is returned, or of two the one with the
+    larger share.
     """
     pooled = ((1 - share) * first + share * second).astype(np.float32)
     labels_any = [bool((estimate > 0.5).any()) for estimate in (first, second)]

@@ -18,7 +18,7 @@ from typing import Any
 import pydantic
 import tyro
 
-from gsc_jax.cli.locate_options import Locate
+from gsc_jax.cli.options import Locate
 from gsc_jax.cli.results import result_file
 from gsc_jax.estimators import METHODS, Method
 from gsc_jax.estimators.protocol import Estimator

@@ -6,7 +6,7 @@ from typing import Any
 
 from gsc_jax.cli.cache import cache_folder
 from gsc_jax.cli.config_file import read_config_file
-from gsc_jax.cli.locate_options import Locate
+from gsc_jax.cli.options import Locate
 from gsc_jax.detectors.cache import CachedDetector
 from gsc_jax.detectors.folder import FolderDetector
 from gsc_jax.detectors.onnx import OnnxDetector

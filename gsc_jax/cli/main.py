@@ -25,11 +25,9 @@ import gsc_jax
 from gsc_jax.cli.cache import cache_folder, enable_compilation_cache
 from gsc_jax.cli.config_file import read_config_file
 from gsc_jax.cli.demo import run_demo
-from gsc_jax.cli.dry_run import dry_run
 from gsc_jax.cli.evaluate import run_evaluate
-from gsc_jax.cli.locate import run_locate
-from gsc_jax.cli.locate_options import Locate
-from gsc_jax.cli.options import Demo, Evaluate, Render, Tamper, View
+from gsc_jax.cli.locate import dry_run, run_locate
+from gsc_jax.cli.options import Demo, Evaluate, Locate, Render, Tamper, View
 from gsc_jax.cli.progress import Bars
 from gsc_jax.cli.render import run_render
 from gsc_jax.cli.report.wording import summary

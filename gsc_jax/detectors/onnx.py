@@ -13,11 +13,9 @@ from typing import ClassVar
 import numpy as np
 from scipy.special import expit, softmax
 
-from gsc_jax.detectors.fingerprint import fingerprint
-from gsc_jax.detectors.network import Network, Shape, TensorSpec, fits, shape_text
-from gsc_jax.detectors.network_detector import NetworkDetector
+from gsc_jax.detectors.network import Network, NetworkDetector, Shape, TensorSpec, fits, shape_text
 from gsc_jax.detectors.preprocessing import Size, crop_map, fit_image, remap_threshold, to_tensor
-from gsc_jax.detectors.session import CPU
+from gsc_jax.detectors.session import CPU, fingerprint
 from gsc_jax.detectors.specs import PLAIN, PRESETS, OnnxSpec, preset
 from gsc_jax.scene import InputError
 

@@ -1,10 +1,13 @@
-"""Open ONNX models with onnxruntime, and report every failure as an `InputError`.
+"""Open ONNX models with onnxruntime, report every failure as an `InputError`, and digest them.
 
 A model can keep tensors in other files. onnxruntime refuses files outside the folder of the model
 (absolute paths, "..", links), which the package relies on: pyproject.toml requires 1.27 or newer.
 Older versions read such files as values of sparse tensors.
 """
 
+import hashlib
+import mmap
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -88,3 +91,39 @@ def provider_names(providers: Sequence[str]) -> list[str]:
 def single_line(error: Exception) -> str:
     """Message of an error with its line breaks replaced by spaces."""
     return " ".join(str(error).split())
+
+
+LOCATION_ENTRY = re.compile(rb"\n\x08location\x12([\x80-\xff]?)([\x00-\x7f])", re.DOTALL)
+"""An entry "location" of a tensor in protocol buffers: tag, length, key, tag, length of the value
+as one or two base-128 digits, lowest first. The value follows."""
+
+
+def fingerprint(path: Path, *facts: object) -> str:
+    """Digest of everything that determines the output of a model for an image.
+
+    This is the model, which onnxruntime has loaded, with its external tensors, the version of
+    onnxruntime, the code of this folder and the given facts, such as the spec and the providers.
+    """
+    import onnxruntime
+
+    facts = (onnxruntime.__version__, *facts)
+    digest = hashlib.blake2b(repr(facts).encode(), digest_size=16)
+    for part in (*sorted(Path(__file__).parent.glob("*.py")), path, *external_files(path)):
+        with part.open("rb") as file:
+            digest.update(hashlib.file_digest(file, hashlib.blake2b).digest())
+    return digest.hexdigest()
+
+
+def external_files(path: Path) -> list[Path]:
+    """Existing files in which a model stores external tensors, sorted.
+
+    The entries that name these files are found by their byte pattern, without parsing the model.
+    onnxruntime has validated them when it loaded the model.
+    """
+    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as model:
+        names = set()
+        for entry in LOCATION_ENTRY.finditer(model):
+            low, high = (int.from_bytes(digit) for digit in entry.groups())
+            length = (low & 127) + (high << 7) if entry[1] else high
+            names.add(model[entry.end() : entry.end() + length].decode(errors="replace"))
+    return sorted(path.parent / name for name in names if (path.parent / name).is_file())

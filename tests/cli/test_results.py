@@ -10,7 +10,7 @@ from results_folder import BROKEN, COUNT, rewrite_report, write_results
 from strategies import random_scene, with_row
 
 from gsc_jax.cli.locate import run_locate
-from gsc_jax.cli.locate_options import Locate
+from gsc_jax.cli.options import Locate
 from gsc_jax.cli.results import read_results
 from gsc_jax.io.cameras import save_cameras
 from gsc_jax.io.masks import image_path, write_mask

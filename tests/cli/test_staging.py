@@ -12,7 +12,7 @@ import pytest
 from cli_case import contents
 
 from gsc_jax.cli import cache, staging
-from gsc_jax.cli.locate_options import Locate
+from gsc_jax.cli.options import Locate
 from gsc_jax.cli.ownership import refuse_foreign
 from gsc_jax.cli.staging import EVALUATION_MARK, OUTPUTS, UNFINISHED, replacing, views_of
 from gsc_jax.scene import InputError

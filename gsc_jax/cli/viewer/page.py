@@ -10,8 +10,7 @@ from urllib.parse import urlencode
 
 import numpy as np
 
-from gsc_jax.cli.viewer.contents import Contents, legend
-from gsc_jax.cli.viewer.poses import Pose
+from gsc_jax.cli.viewer.contents import Contents, Pose, legend
 
 
 def viewer_page(client: str, contents: Contents) -> str:

@@ -13,9 +13,8 @@ from gsc_jax.cli.ownership import refuse_foreign_file
 from gsc_jax.cli.results import Results, read_results
 from gsc_jax.cli.viewer.access import Access, guarded
 from gsc_jax.cli.viewer.contents import Contents, viewer_contents
-from gsc_jax.cli.viewer.controls import add_viewer
+from gsc_jax.cli.viewer.controls import add_cameras, add_layers, add_viewer
 from gsc_jax.cli.viewer.page import viewer_page
-from gsc_jax.cli.viewer.scene import add_cameras, add_layers
 from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.io.allocation import memory_limit
 from gsc_jax.io.files import atomic

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from reports import COUNT, TAMPERED, run
 
-from gsc_jax.cli.report.attributes import attribute_distributions
-from gsc_jax.cli.report.charts import score_histogram
+from gsc_jax.cli.report.charts import attribute_distributions, score_histogram
 from gsc_jax.cli.report.figure import DARK, LIGHT, chart
 
 CSS = Path(__file__).parents[3] / "gsc_jax" / "cli" / "report" / "report.css"

@@ -105,6 +105,9 @@ def read_results(folder: str | Path, *, max_bytes: int | None = None) -> Results
         raise InputError(f"{folder / 'tamper.npy'}: holds numbers outside [0, 1]; {AGAIN}")
     labels = read_by_row(result_file(folder, "labels.npy"), scene.total)[scene.rows]
     views_file = existing_file(result_file(folder, "views.json"), expected="the cameras of the run")
+    if not isinstance(read_table(views_file, remedy=AGAIN, max_bytes=max_bytes), list):
+        # A transforms.json names images anywhere, whose sizes would be read.
+        raise InputError(f"{views_file}: expected a list of cameras; {AGAIN}")
     cameras = load_cameras(views_file, max_bytes=max_bytes)
     views = [(view["name"], view["width"], view["height"]) for view in report["per_view"]]
     for name, same in (

@@ -97,7 +97,7 @@ def test_a_list_that_this_program_did_not_write_there_removes_nothing(case, tmp_
     assert run(*argv, tmp_path).code == 0
     report = json.loads((tmp_path / "render.json").read_text())
     if origin == "written by others":
-        report = {"outputs": {"render.json": None}}
+        report["outputs"] = {"render.json": None}
     report["outputs"]["c.png"] = "0" * 64
     (tmp_path / "render.json").write_text(json.dumps(report))
     (tmp_path / "c.png").write_bytes(b"mine")

@@ -4,6 +4,7 @@ import json
 import shutil
 from pathlib import Path
 
+import imageio.v3 as iio
 import numpy as np
 import pytest
 from results_folder import BROKEN, COUNT, rewrite_report, write_results
@@ -110,6 +111,12 @@ class TestRefusals:
     def test_a_damaged_report(self, folder, text):
         (folder / "result.json").write_text(text)
         assert refusal(folder).startswith(f"{folder / 'result.json'}: ")
+
+    def test_cameras_whose_sizes_are_those_of_images_anywhere(self, folder, tmp_path):
+        iio.imwrite(tmp_path / "image.png", np.zeros((8, 8), np.uint8))
+        frame = {"file_path": f"{tmp_path}/image.png", "transform_matrix": np.eye(4).tolist()}
+        (folder / "views.json").write_text(json.dumps({"frames": [frame], "fl_x": 8}))
+        assert "views.json: expected a list of cameras" in refusal(folder)
 
     def test_a_list_instead_of_a_report(self, folder):
         (folder / "result.json").write_text("[1]")

@@ -15,7 +15,7 @@ from gsc_jax.detectors.specs import PLAIN, PRESETS, OnnxSpec, preset, read_spec,
 from gsc_jax.estimators import METHODS
 from gsc_jax.estimators.protocol import Estimator
 from gsc_jax.evidence.detector import Detector
-from gsc_jax.io.allocation import memory_limit
+from gsc_jax.io.files import memory_limit
 from gsc_jax.scene import InputError
 
 NATIVE, NONE = Path("native"), Path("none")

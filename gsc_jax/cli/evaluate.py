@@ -19,7 +19,7 @@ from gsc_jax.cli.results import Results, read_by_row, read_results, result_file
 from gsc_jax.cli.staging import EVALUATION, EVALUATION_MARK
 from gsc_jax.detectors.folder import FolderDetector
 from gsc_jax.evidence.detector import fit_to_view
-from gsc_jax.io.allocation import memory_limit
+from gsc_jax.io.files import memory_limit
 from gsc_jax.io.masks import image_path, read_probability
 from gsc_jax.scene import Camera, InputError
 

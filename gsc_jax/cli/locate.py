@@ -8,7 +8,6 @@ import hashlib
 import tempfile
 import uuid
 from importlib.metadata import distributions
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -22,18 +21,18 @@ from gsc_jax.cli.detector_choice import (
     uses_attributes,
     with_spec,
 )
-from gsc_jax.cli.located import Located
 from gsc_jax.cli.options import Locate
 from gsc_jax.cli.outputs import planned_outputs, versions, write_report, write_results
 from gsc_jax.cli.ownership import refuse_blocked, refuse_foreign, refuse_overlap
+from gsc_jax.cli.report.wording import Located
 from gsc_jax.cli.scene_input import check_numbers, choose_cameras, naming, read_scene
-from gsc_jax.cli.staging import BY_CAMERA, FILES, replacing, views_of
+from gsc_jax.cli.staging import BY_CAMERA, FILES, replacing, views_of, writing_to
 from gsc_jax.estimators.protocol import Estimator
 from gsc_jax.evidence.detector import Detector
 from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.evidence.storage import ArrayStore
-from gsc_jax.io.allocation import memory_limit
 from gsc_jax.io.cameras import camera_files
+from gsc_jax.io.files import memory_limit
 from gsc_jax.io.ply import PlyScene
 from gsc_jax.locate import locate
 from gsc_jax.render.visibility import check_views
@@ -57,7 +56,7 @@ class Inputs:
 
 
 def read_inputs(options: Locate, *, monitor: Monitor) -> Inputs:
-    """Read and check everything that a run of `locate` is given; InputError if an input is invalid."""
+    """Read and check everything that a run of `locate` is given."""
     check_numbers(options)
     if (options.out / "edit.json").exists():
         raise InputError(
@@ -149,7 +148,9 @@ def _identity(inputs: Inputs) -> str:
 
 def dry_run(options: Locate, *, monitor: Monitor) -> tuple[list[str], list[str]]:
     """Describe a run of `locate`, which is not started: lines to print, and warnings."""
-    _check_writable(options.out)
+    existing = next(p for p in (options.out, *options.out.absolute().parents) if p.exists())
+    with writing_to(options.out):
+        tempfile.TemporaryFile(dir=existing).close()
     inputs = read_inputs(options, monitor=monitor)
     config: dict[str, Any] = dataclasses.asdict(inputs.estimator)  # pyright: ignore[reportArgumentType]
     config |= {f"loop.{key}": value for key, value in config.pop("loop", {}).items()}
@@ -162,17 +163,6 @@ def dry_run(options: Locate, *, monitor: Monitor) -> tuple[list[str], list[str]]
         *(f"config   {name} = {value}" for name, value in config.items()),
         f"writes   {options.out}: {results}",
     ], inputs.warnings
-
-
-def _check_writable(out: Path) -> None:
-    """Refuse a folder in which no file can be created; it need not exist."""
-    existing = next(place for place in (out, *out.absolute().parents) if place.exists())
-    try:
-        tempfile.TemporaryFile(dir=existing).close()
-    except OSError as error:
-        raise InputError(
-            f"{out}: cannot be written to ({error.strerror or error}); choose another place"
-        ) from error
 
 
 def _views(inputs: Inputs) -> str:

@@ -63,20 +63,25 @@ def refuse_foreign(out: Path, names: Sequence[str], *, report: str) -> None:
 def listed_outputs(out: Path, report: str) -> dict[str, Any]:
     """Digests of the files that the report of an earlier run lists; that of itself is None."""
     with contextlib.suppress(InputError, LookupError, TypeError):
-        digests = read_table(existing_file(out / report, expected="a report"), remedy="")["outputs"]
-        if isinstance(digests, dict) and None is digests[report]:
+        digests = read_table(out / report, remedy="")["outputs"] if is_inside(out, report) else {}
+        if isinstance(digests, dict) and digests[report] is None:
             return digests
     return {}
 
 
 def is_output(out: Path, name: str, digests: Mapping[str, Any]) -> bool:
     """Whether a file in a folder of results is as it was written, by the digests in the report."""
-    if name not in digests or not os.path.lexists(out / name):
+    if name not in digests or not is_inside(out, name):
+        return False
+    return name in REPORTS or digest(out / name) == digests[name]
+
+
+def is_inside(out: Path, name: str) -> bool:
+    """Whether a name is that of a regular file in a folder, reached through no link inside it."""
+    if not os.path.lexists(out / name):
         return False
     root, path = Path(os.path.realpath(out)), Path(os.path.realpath(out / name))
-    if not path.is_relative_to(root) or path != root / name:
-        return False
-    return path.is_file() and (name in REPORTS or digest(path) == digests[name])
+    return path.is_relative_to(root) and path == root / name and path.is_file()
 
 
 def digest(path: Path) -> str:

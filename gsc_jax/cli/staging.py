@@ -59,10 +59,7 @@ EVALUATION, EVALUATION_MARK = "evaluation.json", '{\n  "folder": '
 
 @contextlib.contextmanager
 def replacing(
-    out: Path,
-    *,
-    report: str = "result.json",
-    identity: str | None = None,
+    out: Path, *, report: str = "result.json", identity: str | None = None
 ) -> Iterator[Path]:
     """Provide a temporary folder whose files are moved to `out` if the block succeeds.
 
@@ -82,11 +79,11 @@ def replacing(
     work = out / UNFINISHED
     try:
         with _locked(work):
-            with _naming(out):
+            with writing_to(out):
                 _begin(work, out, identity)
             try:
                 yield work / NEW
-                with _naming(out):
+                with writing_to(out):
                     _commit(work, out, report)
                     if identity is not None:
                         shutil.rmtree(work / VIEWS, ignore_errors=True)
@@ -124,7 +121,7 @@ def _refuse_links(work: Path) -> None:
 def _locked(work: Path) -> Iterator[None]:
     """Hold the lock of a folder of results; the system releases that of a process that ends."""
     lock = filelock.FileLock(work / LOCK, timeout=0)
-    with _naming(work.parent):
+    with writing_to(work.parent):
         work.mkdir(parents=True, exist_ok=True)
         try:
             lock.acquire()
@@ -210,7 +207,7 @@ def _write(path: Path, content: bytes) -> None:
 
 
 def _leftovers(out: Path, report: str, names: Sequence[str]) -> list[str]:
-    """Pictures and scores of an earlier run that this one, which writes `names`, does not replace."""
+    """Pictures and scores of an earlier run that a run which writes `names` does not replace."""
     digests = listed_outputs(out, report)
     old = [name for name in digests if name not in names and name.endswith(PICTURES)]
     scored = "result.json" in digests and has_mark(out / EVALUATION, EVALUATION_MARK)
@@ -218,7 +215,7 @@ def _leftovers(out: Path, report: str, names: Sequence[str]) -> list[str]:
 
 
 @contextlib.contextmanager
-def _naming(out: Path) -> Iterator[None]:
+def writing_to(out: Path) -> Iterator[None]:
     """Turn errors of the file system into an InputError that names the folder of results."""
     try:
         yield

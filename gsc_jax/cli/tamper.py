@@ -1,9 +1,8 @@
 """`gsc-jax tamper`: edit a scene file and write it with its truth, to test `locate`."""
 
-import contextlib
 import dataclasses
 import shlex
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import jax
@@ -18,17 +17,11 @@ from gsc_jax.cli.options import Tamper
 from gsc_jax.cli.outputs import save_array, versions, write_json
 from gsc_jax.cli.ownership import refuse_blocked, refuse_foreign, refuse_overlap
 from gsc_jax.cli.pictures import contact_sheet, overlay
-from gsc_jax.cli.scene_input import (
-    check_numbers,
-    choose_cameras,
-    evenly_spaced,
-    naming,
-    read_scene,
-)
+from gsc_jax.cli.scene_input import check_numbers, choose_cameras, evenly_spaced, naming, read_scene
 from gsc_jax.cli.staging import replacing
 from gsc_jax.evidence.monitor import Monitor
-from gsc_jax.io.allocation import memory_limit
 from gsc_jax.io.cameras import camera_files, save_cameras
+from gsc_jax.io.files import memory_limit
 from gsc_jax.io.masks import image_path, write_mask, write_probability
 from gsc_jax.io.ply import load_ply, save_ply
 from gsc_jax.render.projection import NEAR
@@ -102,18 +95,9 @@ def _donor(options: Tamper) -> Gaussians | None:
     if options.object is None:
         return make_object(seed=options.seed)
     donor = load_ply(options.object, max_bytes=memory_limit(options.memory))
-    with _naming(options.object, "expected a .ply of one object"):
+    with naming(options.object, remedy="expected a .ply of one object"):
         extent(donor)
     return donor
-
-
-@contextlib.contextmanager
-def _naming(path: Path, remedy: str) -> Iterator[None]:
-    """Turn a ValueError into an InputError that names a file and the remedy."""
-    try:
-        yield
-    except ValueError as error:
-        raise InputError(f"{path}: {error}; {remedy}") from error
 
 
 def _write(
@@ -136,7 +120,7 @@ def _write(
         failures = REGIMES[options.masks]
         decoy = None
         if failures.decoy:
-            with _naming(options.scene, "choose --masks clean"):
+            with naming(options.scene, remedy="choose --masks clean"):
                 labels = decoy_labels(edited.gaussians, edited.labels, seed=options.seed)
             decoy = masks(labels, "decoy")
         maps = simulate(truth, decoy, seed=options.seed, failures=failures)

@@ -64,7 +64,7 @@ class FolderDetector:
         return digest.hexdigest()
 
     def select(self, cameras: Sequence[Camera]) -> list[Camera]:
-        """Cameras that have a mask, in their order; InputError if none has, or a match is unclear."""
+        """Cameras that have a mask, in their order; InputError if there is none."""
         matched = self._matched(cameras)
         if matched:
             return [camera for camera in cameras if camera.name in matched]

@@ -8,17 +8,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from gsc_jax.detectors.session import CPU, open_session, single_line
+from gsc_jax.detectors.session import CPU, open_session
+from gsc_jax.io.validation import brief
 from gsc_jax.scene import Camera, InputError
 
 Shape = Sequence[int | str | None]
 
 FLOATS: Mapping[str, type] = {"tensor(float)": np.float32, "tensor(float16)": np.float16}
-NUMBERS: Mapping[str, type] = {
-    **FLOATS,
-    "tensor(int32)": np.int32,
-    "tensor(int64)": np.int64,
-}
+NUMBERS: Mapping[str, type] = {**FLOATS, "tensor(int32)": np.int32, "tensor(int64)": np.int64}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -92,7 +89,7 @@ class Network:
             given = ", ".join(f"{tensor.name} {shape_text(array.shape)}" for tensor, array in pairs)
             raise InputError(
                 f"{self.path}: the model fails on view {view!r} with {given}: "
-                f"{single_line(error)}; export the model for this shape"
+                f"{brief(error)}; export the model for this shape"
             ) from error
         outputs = [np.asarray(array, np.float32) for array in found]
         sides = dict(self.sides)

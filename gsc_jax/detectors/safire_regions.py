@@ -42,12 +42,7 @@ def point_grid(count: int, *, side: int) -> np.ndarray:
 
 
 def forged_region(
-    logits: np.ndarray,
-    confidences: np.ndarray,
-    embeddings: np.ndarray,
-    *,
-    side: int,
-    seed: int = 0,
+    logits: np.ndarray, confidences: np.ndarray, embeddings: np.ndarray, *, side: int, seed: int = 0
 ) -> tuple[np.ndarray, dict[str, int]]:
     """Probability of tampering from the masks of many prompts, (side, side) float32, and counts.
 

@@ -12,6 +12,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from gsc_jax.io.files import existing_file
+from gsc_jax.io.validation import brief
 from gsc_jax.scene import InputError
 
 if TYPE_CHECKING:
@@ -38,9 +40,7 @@ def open_session(
     """
     import onnxruntime
 
-    if not path.is_file():
-        found = "is a folder" if path.is_dir() else "does not exist"
-        raise InputError(f"{path}: {found}, expected an ONNX model")
+    existing_file(path, expected="an ONNX model")
     if threads < 0:
         raise InputError(f"{path}: {threads} threads, expected 0 (all cores) or more")
     names = provider_names(providers)
@@ -55,7 +55,7 @@ def open_session(
         )
     except Exception as error:  # the errors of onnxruntime have no common base class
         raise InputError(
-            f"{path}: onnxruntime cannot load it as an ONNX model ({single_line(error)}); export "
+            f"{path}: onnxruntime cannot load it as an ONNX model ({brief(error)}); export "
             "it again, with external tensors in the same folder"
         ) from error
     # onnxruntime silently drops a provider without a driver.
@@ -86,11 +86,6 @@ def provider_names(providers: Sequence[str]) -> list[str]:
                 f"{', '.join(available)}; other builds have others, such as onnxruntime-gpu"
             )
     return [available[key] for key in short]
-
-
-def single_line(error: Exception) -> str:
-    """Message of an error with its line breaks replaced by spaces."""
-    return " ".join(str(error).split())
 
 
 LOCATION_ENTRY = re.compile(rb"\n\x08location\x12([\x80-\xff]?)([\x00-\x7f])", re.DOTALL)

@@ -82,14 +82,6 @@ class GSChecker(Estimator):
 
     def __post_init__(self) -> None:
         """Check the fields."""
-        for option, known in (
-            ("consensus", tuple(CONSENSUS)),
-            ("attributes", tuple(ATTRIBUTES)),
-            ("path", ("evidence", "rendered")),
-        ):
-            if getattr(self, option) not in known:
-                found = getattr(self, option)
-                raise ValueError(f"{option} must be one of {', '.join(known)}, got {found!r}")
         check_fields(self, RANGES)
 
     def for_views(self, views: int) -> "GSChecker":

@@ -144,12 +144,11 @@ class Estimator(abc.ABC):
 
 
 def check_fields(estimator: Estimator, ranges: Mapping[str, tuple[float, float]]) -> None:
-    """Raise ValueError for an unknown mask rule, and for numbers outside of their ranges."""
-    rules = typing.get_args(MaskRule)
-    if estimator.mask_rule not in rules:
-        raise ValueError(
-            f"mask_rule must be one of {', '.join(rules)}, got {estimator.mask_rule!r}"
-        )
+    """Raise ValueError for an unknown value of a `Literal`, and for numbers out of their ranges."""
+    for name, hint in typing.get_type_hints(type(estimator)).items():
+        known, value = typing.get_args(hint), getattr(estimator, name)
+        if typing.get_origin(hint) is Literal and value not in known:
+            raise ValueError(f"{name} must be one of {', '.join(known)}, got {value!r}")
     check_ranges(estimator, ranges)
 
 

@@ -11,8 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gsc_jax.io.allocation import check_allocation
-from gsc_jax.io.files import existing_file
+from gsc_jax.io.files import check_allocation, existing_file
 from gsc_jax.io.json_cameras import pinhole
 from gsc_jax.io.validation import brief, shown
 from gsc_jax.scene import Camera, InputError

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gsc_jax.io.allocation import check_allocation
+from gsc_jax.io.files import check_allocation
 from gsc_jax.io.tables import BYTES_PER_CHARACTER
 from gsc_jax.io.validation import brief, shown
 from gsc_jax.scene import Gaussians, InputError

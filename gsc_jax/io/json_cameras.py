@@ -1,9 +1,8 @@
 """Cameras in JSON files: field types, poses, and errors that name file, camera and field.
 
 A pose that contains a scale or a reflection renders a plausible but wrong image, so it is refused.
-The cameras.json of the INRIA trainer has camera-to-world poses with OpenCV axes. It has no principal
-point: it is the centre of the image unless the item has `cx` and `cy`, two keys that this package
-adds and other readers ignore.
+The cameras.json of the INRIA trainer has camera-to-world poses with OpenCV axes. It has no
+principal point: it is the centre of the image unless the item has `cx` and `cy`, as ours have.
 """
 
 from collections.abc import Callable, Sequence

@@ -18,8 +18,7 @@ import jax
 import numpy as np
 
 from gsc_jax.io import compressed
-from gsc_jax.io.allocation import check_allocation
-from gsc_jax.io.files import atomic, existing_file
+from gsc_jax.io.files import atomic, check_allocation, existing_file
 from gsc_jax.io.layout import REST_COUNTS, checked_scores, decode, encode
 from gsc_jax.io.validation import brief
 from gsc_jax.scene import Array, Gaussians, InputError, invalid_rows

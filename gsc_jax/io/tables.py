@@ -9,8 +9,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from gsc_jax.io.allocation import check_allocation
-from gsc_jax.io.files import existing_file
+from gsc_jax.io.files import check_allocation, existing_file
 from gsc_jax.io.validation import brief
 from gsc_jax.scene import InputError
 

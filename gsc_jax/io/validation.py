@@ -18,8 +18,9 @@ def one_line(
     """Describe the first invalid key of a validated table.
 
     Args:
-        error: The error that pydantic raised for `given`, the validated value.
+        error: The error that pydantic raised for `given`.
         where: The file, and the table in it if there are several: "net.toml".
+        given: The validated value, in which the key is located.
         known: All valid keys, to suggest one for a misspelled key.
 
     Returns:

@@ -48,7 +48,9 @@ def check_views(
         raise InputError("no cameras for the scene; give at least one")
     if not len(gaussians):
         raise InputError("the scene has no Gaussians")
-    points = _sample(opaque_means(gaussians))
+    points = opaque_means(gaussians)
+    count = min(len(points), MAX_POINTS)
+    points = points[np.linspace(0, len(points) - 1, count).astype(np.int64)]
     viewmats = [np.asarray(camera.viewmat, np.float64) for camera in cameras]
     depths = _depths(points, viewmats, cameras)
     seen = depths > near
@@ -69,11 +71,6 @@ def check_views(
         advice = _better_convention(points, viewmats, cameras)
         warnings.append(f"{len(blind)} of {len(cameras)} cameras see nothing: {names}{advice}")
     return warnings
-
-
-def _sample(points: np.ndarray) -> np.ndarray:
-    count = min(len(points), MAX_POINTS)
-    return points[np.linspace(0, len(points) - 1, count).astype(np.int64)]
 
 
 def _depths(

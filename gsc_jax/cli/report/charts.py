@@ -1,16 +1,19 @@
 """The charts of the report: histogram of the scores, distributions of attributes (GS-Checker).
 
-The two groups differ in shape as well as in colour: tampered is filled, authentic a dashed line.
+The two groups differ in shape as well as in colour: tampered is filled, authentic a dashed line. A
+chart is drawn twice by matplotlib as SVG, in the colours of a light and of a dark scheme, of which
+the page selects one. Colours C0 (tampered) and C1 (authentic) repeat those of report.css.
 """
 
+import base64
 import dataclasses
-from collections.abc import Iterator
+import io
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 import jax
 import numpy as np
 
-from gsc_jax.cli.report.figure import Chart, chart
 from gsc_jax.io.ply import LUMA
 from gsc_jax.locate import Result
 from gsc_jax.render.spherical_harmonics import Y0
@@ -19,6 +22,56 @@ from gsc_jax.scene.parallel import in_blocks
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+LIGHT = {"ink": "#1c1b1a", "muted": "#5c5954", "cycle": ["#b3004b", "#22588f"]}
+DARK = {"ink": "#ebe8e3", "muted": "#aba69e", "cycle": ["#ff7fae", "#85b8ee"]}
+STYLE = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "gsc_jax",  # reproducible ids
+    "font.size": 9,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+}
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Chart:
+    """A chart: heading, sentences, and its image for each scheme as a data URI."""
+
+    title: str
+    text: str
+    light: str
+    dark: str
+
+
+def chart(
+    plot: "Callable[[Axes], object]", *, title: str, text: str, size: tuple[float, float]
+) -> Chart:
+    """Draw a chart in both colour schemes; `size` is in inches, with text of 9 points."""
+    light, dark = (_data_uri(plot, scheme, size) for scheme in (LIGHT, DARK))
+    return Chart(title=title, text=text, light=light, dark=dark)
+
+
+def _data_uri(plot: "Callable[[Axes], object]", scheme: dict, size: tuple[float, float]) -> str:
+    import matplotlib
+    from matplotlib.figure import Figure
+
+    file = io.BytesIO()
+    with matplotlib.rc_context(_style(**scheme)):
+        figure = Figure(figsize=size, layout="constrained")
+        plot(figure.subplots())
+        figure.savefig(file, format="svg", transparent=True, metadata={"Date": None})
+    return f"data:image/svg+xml;base64,{base64.b64encode(file.getvalue()).decode()}"
+
+
+def _style(ink: str, muted: str, cycle: list[str]) -> dict:
+    from cycler import cycler
+
+    text = ("text.color", "axes.labelcolor", "xtick.labelcolor", "ytick.labelcolor")
+    lines = ("axes.edgecolor", "xtick.color", "ytick.color")
+    style = STYLE | dict.fromkeys(text, ink) | dict.fromkeys(lines, muted)
+    return style | {"axes.prop_cycle": cycler(color=cycle)}
+
 
 MIN_LOG_SCALE = -30.0
 """Floor of log scales: flat Gaussians are stored with scales down to exp(-100)."""

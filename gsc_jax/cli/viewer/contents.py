@@ -84,7 +84,7 @@ class Contents:
         threshold: Score above which the run labelled a Gaussian as tampered.
         up: Unit up direction, shape (3,).
         near: Near plane in world units.
-        far: Far plane in world units.
+        far: Far plane: twice the diagonal of the box around all splats, cameras and their targets.
         frustum: Size of a drawn camera in world units.
     """
 
@@ -110,6 +110,8 @@ def viewer_contents(results: Results, *, most: int) -> tuple[Contents, list[str]
     up = mean_up(results.cameras)
     poses = [pose(camera, sample, up=up, near=near) for camera in results.cameras]
     distances = [np.linalg.norm(place.look_at - place.position) for place in poses]
+    places = [place for pose in poses for place in (pose.position, pose.look_at)]
+    diagonal = np.linalg.norm(np.ptp(np.concatenate([chosen.centers, places]), axis=0))
     contents = Contents(
         title=results.folder.resolve().name,
         sentences=_sentences(results),
@@ -119,7 +121,7 @@ def viewer_contents(results: Results, *, most: int) -> tuple[Contents, list[str]
         poses=poses,
         up=up,
         near=near,
-        far=_far(chosen.centers, poses),
+        far=2 * float(diagonal),
         frustum=FRUSTUM_SCALE * float(np.median(distances)),
     )
     return contents, _omission(results, rows)
@@ -160,12 +162,6 @@ def _sentences(results: Results) -> list[str]:
         headline(verdict, tampered),
         f"{labels} The scene probability of an edit is {percent(verdict)}.",
     ]
-
-
-def _far(points: np.ndarray, poses: list[Pose]) -> float:
-    """Twice the diagonal of the box around all points, cameras and their targets."""
-    places = [place for pose in poses for place in (pose.position, pose.look_at)]
-    return 2 * float(np.linalg.norm(np.ptp(np.concatenate([points, places]), axis=0)))
 
 
 def _omission(results: Results, rows: np.ndarray) -> list[str]:

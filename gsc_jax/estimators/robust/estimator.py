@@ -15,18 +15,11 @@ import dataclasses
 
 import numpy as np
 
-from gsc_jax.estimators.protocol import (
-    MAX_SEED,
-    Estimator,
-    Finding,
-    Prior,
-    check_fields,
-    unanimous,
-)
+from gsc_jax.estimators.protocol import MAX_SEED, Estimator, Finding, Prior, check_fields, unanimous
 from gsc_jax.estimators.robust import diagnostics
 from gsc_jax.estimators.robust.class_roles import Roles, assign_roles, scene_probability
 from gsc_jax.estimators.robust.gaussian_visibility import (
-    blocks,
+    BLOCK,
     stratified_sample,
     summed_visibility,
     visibility,
@@ -40,6 +33,7 @@ from gsc_jax.evidence.observation import Observation
 from gsc_jax.render.projection import NEAR
 from gsc_jax.scene import Array
 from gsc_jax.scene.errors import BELOW_1
+from gsc_jax.scene.parallel import blocks
 
 RANGES: dict[str, tuple[float, float]] = {
     "sample": (1, 10**9),
@@ -183,12 +177,7 @@ class RobustEstimator(Estimator):
             return estimate
         logits = -self.class_log_odds * pattern_distance(evidence, roles, self.half_weight)
         class_probability = smooth(
-            logits,
-            roles.tampered,
-            means,
-            seen,
-            strength=self.smoothing,
-            neighbours=self.neighbours,
+            logits, roles.tampered, means, seen, strength=self.smoothing, neighbours=self.neighbours
         )
         # The best class of each kind: probabilities of similar distractors must not add up.
         kinds = roles.tampered, ~roles.tampered
@@ -246,7 +235,7 @@ def pattern_distance(evidence: EvidenceOfViews, roles: Roles, half_weight: float
     inverted = roles.inverted[:, None]
     patterns = roles.patterns.astype(np.float32)
     distance = np.empty((evidence.shape[1], len(patterns)), np.float32)
-    for block in blocks(len(distance)):
+    for block in blocks(len(distance), BLOCK):
         seen, flagged = visibility(evidence, block, half_weight)
         flagged = np.where(inverted, seen - flagged, flagged)
         distance[block] = (seen - 2 * flagged).T @ patterns.T + flagged.sum(axis=0)[:, None]

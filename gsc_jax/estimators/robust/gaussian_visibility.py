@@ -1,10 +1,9 @@
 """Visibility of Gaussians in views, from 0 to 1, the flagged part of it, and sampling by both."""
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from gsc_jax.evidence.lifting import EvidenceOfViews
+from gsc_jax.scene.parallel import blocks
 
 BLOCK = 2**15
 """Gaussians whose evidence is in memory at once, 26 MB for 100 views."""
@@ -29,15 +28,10 @@ def summed_visibility(
     """`visibility` of all Gaussians summed over the views, shapes (N,)."""
     sums = [
         [part.sum(axis=0) for part in visibility(evidence, block, half_weight)]
-        for block in blocks(evidence.shape[1])
+        for block in blocks(evidence.shape[1], BLOCK)
     ]
     seen, flagged = (np.concatenate(parts) for parts in zip(*sums, strict=True))
     return seen, flagged
-
-
-def blocks(count: int) -> Iterator[slice]:
-    """Slices of at most `BLOCK` rows that cover `count` rows."""
-    return (slice(start, start + BLOCK) for start in range(0, count, BLOCK))
 
 
 def stratified_sample(

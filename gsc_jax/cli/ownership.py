@@ -54,10 +54,10 @@ def refuse_foreign(out: Path, names: Sequence[str], *, report: str) -> None:
     own = {*finished["moved"], *finished["removed"]}
     for name in dict.fromkeys([*names, *digests]):
         if os.path.lexists(out / name) and name not in own and not is_output(out, name, digests):
-            problem = "has changed since" if name in digests else "exists and is not from"
-            raise InputError(
-                f"{out / name}: {problem} the run that wrote {report}; give another --out"
-            )
+            problem = f"exists, and {report} does not list it as the output of an earlier run"
+            if name in digests:
+                problem = "has changed since an earlier run wrote it"
+            raise InputError(f"{out / name}: {problem}; give another --out")
 
 
 def listed_outputs(out: Path, report: str) -> dict[str, Any]:

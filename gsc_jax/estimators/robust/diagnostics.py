@@ -14,9 +14,9 @@ FROM_PRIOR = " The labels come from the attributes of the Gaussians."
 def reliability(
     evidence: EvidenceOfViews, labels: np.ndarray, roles: Roles | None
 ) -> tuple[Reliability, ...]:
-    """Reliability of the mask of each of V views, given the labels, (N,) bool.
+    """Reliability of the mask of each of V views, by the evidence of labelled Gaussians, (N,) bool.
 
-    It is empty if nothing is labelled or all Gaussians belong to one class (no roles).
+    A word per view; empty if nothing is labelled or all Gaussians belong to one class.
     """
     if roles is None or not labels.any():
         return ()
@@ -44,8 +44,8 @@ def warnings(
 ) -> list[str]:
     """Sentences where masks disagree with each other or with the prior.
 
-    `agreed` are the Gaussians that the masks alone label, `labels` those that are labelled, both
-    (N,) bool; `verdicts` are the scene probabilities from the masks alone, and with the prior.
+    `roles` are None if all Gaussians belong to one class; `agreed` (N,) are the Gaussians that the
+    masks alone label; `verdicts` the scene probabilities from the masks alone and with the prior.
     """
     if roles is None:
         return [DISAGREEMENT + FROM_PRIOR * bool(labels.any())]

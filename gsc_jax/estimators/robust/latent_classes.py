@@ -60,17 +60,11 @@ class Fit:
 def fit_classes(
     flagged: Array, clear: Array, *, counts: Sequence[int], restarts: int = 2, seed: int = 0
 ) -> Fit:
-    """Fit latent classes to how often Gaussians are flagged in each view; deterministic.
+    """Fit latent classes to how often Gaussians are flagged in each view.
 
-    Args:
-        flagged: Effective number of flagged pixels per view and Gaussian, shape (V, S).
-        clear: Effective number of pixels that are not flagged, shape (V, S).
-        counts: Candidate numbers of classes.
-        restarts: Number of starts for each candidate.
-        seed: Seed of the starts.
-
-    Raises:
-        ValueError: if there is no candidate, no start or no Gaussian.
+    `flagged` and `clear` (V, S) are effective numbers of pixels per view and Gaussian. The numbers
+    of classes in `counts` are candidates, each with `restarts` starts drawn by the seed. No
+    candidate, no start or no Gaussian raises ValueError.
     """
     if not counts or min(counts) < 1 or restarts < 1:
         raise ValueError(f"expected numbers of classes and restarts, got {counts} and {restarts}")

@@ -19,15 +19,18 @@ PROBABILITY_FLOOR = 1e-9
 def fuse(
     probability: np.ndarray, verdict: float, seen: np.ndarray, prior: Prior, weight: float = 1.0
 ) -> tuple[np.ndarray, float]:
-    """Fuse probabilities (N,) from masks with a prior: probabilities (N,) and scene probability.
+    """Fuse probabilities from masks with a prior.
 
     Masks and prior are each correct or not, independently: the masks with the probability
     `verdict`, the prior with that of its own verdict. If only one is correct, it alone counts. If
     both are, the masks count, or both equally for an exact prior. If neither is, the masks count.
-    The `weight` of the prior is in [0, 1]; one of another number of Gaussians raises ValueError.
 
     The fused verdict includes only evidence of the prior *for* an edit: an edit need not show in
     the prior, so that its absence there is no evidence.
+
+    `probability` (N,) and `verdict`, that of the scene, are from the masks; `seen` (N,) is True for
+    Gaussians visible in at least one view; the prior has a weight in [0, 1]. Returns probabilities,
+    (N,) float32, and the scene probability; a prior of another size raises ValueError.
     """
     if len(prior.probability) != len(probability):
         raise ValueError(
@@ -43,11 +46,10 @@ def fuse(
 
 
 def linear_pool(first: np.ndarray, second: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """Pool two probabilities of each Gaussian linearly (Stone, 1961); all shapes are (N,).
+    """Pool two probabilities (N,) linearly (Stone, 1961), with a share (N,) of the second.
 
-    `share` is the weight of the second, in [0, 1]. The mean of two estimates may label nothing
-    although one of them does. In this case that one alone is returned, or of two the one with the
-    larger share.
+    The mean of two estimates may label nothing although one of them does. In this case that one
+    alone is returned, or of two the one with the larger share, shape (N,) float32.
     """
     pooled = ((1 - share) * first + share * second).astype(np.float32)
     labels_any = [bool((estimate > 0.5).any()) for estimate in (first, second)]

@@ -25,15 +25,11 @@ def smooth(
     strength: float,
     neighbours: int,
 ) -> np.ndarray:
-    """Class probabilities (N, C) after mean-field smoothing.
+    """Class probabilities (N, C) that add up to 1, after mean-field smoothing.
 
-    Args:
-        logits: Unnormalised log probability of each class, shape (N, C).
-        tampered: Classes that count as tampered, shape (C,) bool.
-        means: Centres in any unit, shape (N, 3).
-        seen: Visible Gaussians, shape (N,) bool; the others get and send no message.
-        strength: Log odds that neighbours contribute if they all belong to one class.
-        neighbours: Number of neighbours.
+    `logits` (N, C) are unnormalised log probabilities, `tampered` (C,) the classes that count as
+    such, `means` (N, 3) centres in any unit. Gaussians that no view has `seen` (N,) get and send no
+    message. `strength` is the log odds that `neighbours` contribute if all belong to one class.
     """
     probability = softmax(logits, axis=-1)
     means = np.asarray(means)

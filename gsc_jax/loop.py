@@ -139,8 +139,7 @@ def fit(
     """Optimise the attribute on evidence, without rendering.
 
     Args:
-        evidence: Evidence of V views, shapes (V, N); may be sparse, on the host or on disk, since
-            one view at a time is read.
+        evidence: Evidence of V views, shapes (V, N), of which one view at a time is read.
         r: Initial attribute, shape (N,).
         attributes: Attributes F of the 3D loss, shape (A, N).
         order: View of each iteration, shape (iterations,), int32.
@@ -199,15 +198,10 @@ def _evidence_step(state: State, evidence: Evidence, attributes: Array, config: 
 @jax.jit
 def _rendered_step(state: State, view: View, mask: Array, attributes: Array, config: LoopConfig):
     def view_loss(r):
-        rendered = render_attribute(view, r)
+        rendered = composite(view, r[:, None])[..., 0]  # M^R of eq. 9
         return loss_2d(rendered, mask, lambda1=config.lambda1, lambda2=config.lambda2)
 
     return step(state, view_loss, attributes, config=config)
-
-
-def render_attribute(view: View, r: jax.Array) -> jax.Array:
-    """Render an attribute r, shape (N,), to M^R, shape (H, W) (GS-Checker, eq. 9)."""
-    return composite(view, r[:, None])[..., 0]
 
 
 def view_order(views: int, *, epochs: int, shuffle: bool = False, seed: int = 0) -> np.ndarray:

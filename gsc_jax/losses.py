@@ -56,9 +56,7 @@ class Partition:
 def partition(r: Array) -> Partition:
     """Group Gaussians by their attribute r, shape (N,), with the thresholds of the released code.
 
-    Returns:
-        High: r > 0 and r >= 0.9 max r. Middle: 0 < r <= 0.1 max r. Low: r <= 0 and r <= 0.9 min r.
-        The other Gaussians are in no group; a group may be empty.
+    A group may be empty, and most Gaussians are in none.
     """
     largest, smallest = jnp.max(r), jnp.min(r)
     return Partition(

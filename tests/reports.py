@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from strategies import camera, random_scene
 
-from gsc_jax.cli.located import Located
 from gsc_jax.cli.outputs import write_report
 from gsc_jax.cli.pictures import jpeg_path, overlay, write_jpeg
+from gsc_jax.cli.report.wording import Located
 from gsc_jax.estimators.protocol import Reliability
 from gsc_jax.estimators.robust.early_stopping import EarlyStopping
 from gsc_jax.estimators.robust.estimator import RobustEstimator

@@ -18,7 +18,8 @@ from typing import Any
 import pydantic
 import tyro
 
-from gsc_jax.cli.locate_options import Locate
+from gsc_jax.cli.options import Locate
+from gsc_jax.cli.results import result_file
 from gsc_jax.estimators import METHODS, Method
 from gsc_jax.estimators.protocol import Estimator
 from gsc_jax.io.files import existing_file
@@ -64,11 +65,10 @@ class ConfigFile:
 def read_config_file(path: str | Path) -> ConfigFile:
     """Read a result.json, its folder, or a .toml or .json file with `command` and `config`.
 
-    Raises:
-        InputError: if the file cannot be read, has an unknown key, a wrong type or a contradiction.
+    An unknown key, a wrong type or a contradiction raises InputError.
     """
     path = Path(path)
-    path = path / "result.json" if path.is_dir() else path
+    path = result_file(path, "result.json") if path.is_dir() else path
     content = _read(existing_file(path, expected="a configuration (.toml or .json)"))
     report = {"versions", "outputs"} <= set(content)
     tables = {name: content.get(name, {}) for name in ("command", "config")} if report else content
@@ -85,6 +85,7 @@ def read_config_file(path: str | Path) -> ConfigFile:
             raise InputError(f"{path}: config.tolerance and a number of views exclude each other")
         config.pop("tolerance", None)  # 0 in a result.json, as it follows from the options
     _refuse_contradictions(path, command, config)
+    _refuse_escapes(path, command)
     try:
         if report:
             _reopen_schedule(base, config, content.get("judged_views"))
@@ -150,6 +151,14 @@ def _refuse_contradictions(path: Path, command: Table, config: Table) -> None:
         one, other = command.get(name), given.get(name)
         if None not in (one, other) and one != other:
             raise InputError(f"{path}: {name} is {one} in command and {other} in config")
+
+
+def _refuse_escapes(path: Path, command: Table) -> None:
+    """Refuse texts that --help, which shows the options of the file, could not show as they are."""
+    for name, value in command.items():
+        parts = value if isinstance(value, tuple) else (value,)
+        if not all(str(part).isprintable() for part in parts):
+            raise InputError(f"{path}: command.{name}: expected printable text, found {value!r}")
 
 
 def _reopen_schedule(base: Estimator, config: Table, views: Any) -> None:

@@ -18,8 +18,7 @@ from gsc_jax.benchmark.metrics import Scores, confusion, mean_over_tampered_view
 from gsc_jax.benchmark.scenes import MadeScene, tampered_room
 from gsc_jax.benchmark.simulate import REGIMES, decoy_labels, simulate
 from gsc_jax.cli.locate import run_locate
-from gsc_jax.cli.locate_options import Locate
-from gsc_jax.cli.options import Demo
+from gsc_jax.cli.options import Demo, Locate
 from gsc_jax.cli.pictures import contact_sheet, overlay
 from gsc_jax.cli.scene_input import evenly_spaced
 from gsc_jax.cli.tamper import write_scene, write_views
@@ -73,11 +72,7 @@ class Case:
 def run_demo(
     options: Demo, *, made: MadeScene | None = None, monitor: Monitor | None = None
 ) -> list[str]:
-    """Generate the scene, by default `tampered_room`, run every method; return lines to print.
-
-    Raises:
-        InputError: if the folder cannot be written to, or holds files of another origin.
-    """
+    """Generate the scene, by default `tampered_room`, run every method; return lines to print."""
     _refuse_foreign(options.out)
     monitor = monitor or Monitor()
     made = made or tampered_room(seed=options.seed)

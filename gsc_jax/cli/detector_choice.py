@@ -6,7 +6,7 @@ from typing import Any
 
 from gsc_jax.cli.cache import cache_folder
 from gsc_jax.cli.config_file import read_config_file
-from gsc_jax.cli.locate_options import Locate
+from gsc_jax.cli.options import Locate
 from gsc_jax.detectors.cache import CachedDetector
 from gsc_jax.detectors.folder import FolderDetector
 from gsc_jax.detectors.onnx import OnnxDetector
@@ -15,7 +15,7 @@ from gsc_jax.detectors.specs import PLAIN, PRESETS, OnnxSpec, preset, read_spec,
 from gsc_jax.estimators import METHODS
 from gsc_jax.estimators.protocol import Estimator
 from gsc_jax.evidence.detector import Detector
-from gsc_jax.io.allocation import memory_limit
+from gsc_jax.io.files import memory_limit
 from gsc_jax.scene import InputError
 
 NATIVE, NONE = Path("native"), Path("none")
@@ -25,8 +25,7 @@ NATIVE, NONE = Path("native"), Path("none")
 def configured_estimator(options: Locate) -> Estimator:
     """The estimator of --method, configured by --config and the options.
 
-    Raises:
-        InputError: if an option is invalid or does not apply to the method.
+    An option that is invalid or does not apply to the method raises InputError.
     """
     base: Any = METHODS[options.method]
     if options.config is not None:
@@ -75,9 +74,8 @@ def uses_attributes(options: Locate, estimator: Estimator) -> bool:
 def open_detector(options: Locate, *, attributes: bool) -> Detector | None:
     """Open the folder of masks or the 2D network; None if the options name neither.
 
-    Raises:
-        InputError: if options contradict each other, there is no evidence (`attributes`: from the
-            attributes of the Gaussians), or a file is invalid.
+    InputError if options contradict each other, a file is invalid, or there is no evidence, also
+    not from the `attributes` of the Gaussians.
     """
     network = network_path(options)
     if options.masks is not None and network is not None:

@@ -13,20 +13,19 @@ import numpy as np
 from gsc_jax.benchmark.metrics import auc, confusion, false_positive_area, mean_over_tampered_views
 from gsc_jax.cli.options import Evaluate
 from gsc_jax.cli.outputs import write_json
+from gsc_jax.cli.ownership import refuse_foreign_file
 from gsc_jax.cli.report.wording import share
-from gsc_jax.cli.results import Results, read_by_row, read_results
-from gsc_jax.cli.staging import EVALUATION, refuse_foreign_file
+from gsc_jax.cli.results import Results, read_by_row, read_results, result_file
+from gsc_jax.cli.staging import EVALUATION, EVALUATION_MARK
 from gsc_jax.detectors.folder import FolderDetector
 from gsc_jax.evidence.detector import fit_to_view
-from gsc_jax.io.allocation import memory_limit
+from gsc_jax.io.files import memory_limit
 from gsc_jax.io.masks import image_path, read_probability
 from gsc_jax.scene import Camera, InputError
 
 MEASURES = {"f1": "F1", "iou": "IoU", "precision": "precision", "recall": "recall"}
 """Titles of the columns, by property of `Confusion`."""
 NAME_WIDTH = 32
-BEGINNING = '{\n  "folder": '
-"""Beginning of a file of scores."""
 ASPECT_TOLERANCE = 0.02
 """Relative difference between the aspects of a truth and its view that rounding of the sizes of
 small images explains."""
@@ -36,14 +35,9 @@ Masks = dict[str, np.ndarray]
 
 
 def run_evaluate(options: Evaluate) -> tuple[list[str], list[str]]:
-    """Compare results with the truth and write the scores; return lines to print, and warnings.
-
-    Raises:
-        InputError: if the folder holds no results, the truth does not belong to them, or another
-            file exists where the scores go.
-    """
+    """Compare results with the truth and write the scores; return lines to print, and warnings."""
     out = options.out or options.folder / EVALUATION
-    refuse_foreign_file(out, BEGINNING)
+    refuse_foreign_file(out, EVALUATION_MARK)
     labels, masks = _file_and_folder(options.truth)
     limit = memory_limit(options.memory)
     results = read_results(options.folder, max_bytes=limit)
@@ -111,7 +105,7 @@ def _by_view(results: Results, truth: FolderDetector, warnings: list[str]) -> di
     true = {camera.name: _true_mask(truth, camera, warnings) for camera in chosen}
     warnings += truth.warnings
     found = {camera.name: _read_mask(results, "masks", camera) for camera in chosen}
-    judged = [c for c in chosen if image_path(results.folder / "detector", c.name).is_file()]
+    judged = [c for c in chosen if _mask_path(results, "detector", c).exists()]
     detector = {camera.name: _read_mask(results, "detector", camera) for camera in judged}
     scores = {
         "truth": {name: float(mask.mean()) for name, mask in true.items()},
@@ -140,7 +134,7 @@ def _true_mask(folder: FolderDetector, camera: Camera, warnings: list[str]) -> n
 
 def _read_mask(results: Results, kind: str, camera: Camera) -> np.ndarray:
     """A mask that the run wrote."""
-    path = image_path(results.folder / kind, camera.name)
+    path = _mask_path(results, kind, camera)
     mask = read_probability(path, zero_one=False, max_bytes=results.max_bytes) > 0.5
     if mask.shape != (camera.height, camera.width):
         raise InputError(
@@ -148,6 +142,10 @@ def _read_mask(results: Results, kind: str, camera: Camera) -> np.ndarray:
             f"{camera.height}, as in result.json; run gsc-jax locate again"
         )
     return mask
+
+
+def _mask_path(results: Results, kind: str, camera: Camera) -> Path:
+    return result_file(results.folder, image_path(kind, camera.name))
 
 
 def _scores(masks: Masks, truth: Masks) -> dict[str, Any]:

@@ -1,10 +1,14 @@
-"""`gsc-jax locate`: from files to a folder of results; all input is checked first."""
+"""`gsc-jax locate`: from files to a folder of results; all input is checked first.
+
+With --dry-run, nothing is computed, and the resolved configuration is printed.
+"""
 
 import dataclasses
 import hashlib
+import tempfile
 import uuid
 from importlib.metadata import distributions
-from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
@@ -17,17 +21,18 @@ from gsc_jax.cli.detector_choice import (
     uses_attributes,
     with_spec,
 )
-from gsc_jax.cli.locate_options import Locate
-from gsc_jax.cli.located import Located
+from gsc_jax.cli.options import Locate
 from gsc_jax.cli.outputs import planned_outputs, versions, write_report, write_results
+from gsc_jax.cli.ownership import refuse_blocked, refuse_foreign, refuse_overlap
+from gsc_jax.cli.report.wording import Located
 from gsc_jax.cli.scene_input import check_numbers, choose_cameras, naming, read_scene
-from gsc_jax.cli.staging import refuse_blocked, refuse_foreign, refuse_overlap, replacing, views_of
+from gsc_jax.cli.staging import BY_CAMERA, FILES, replacing, views_of, writing_to
 from gsc_jax.estimators.protocol import Estimator
 from gsc_jax.evidence.detector import Detector
 from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.evidence.storage import ArrayStore
-from gsc_jax.io.allocation import memory_limit
 from gsc_jax.io.cameras import camera_files
+from gsc_jax.io.files import memory_limit
 from gsc_jax.io.ply import PlyScene
 from gsc_jax.locate import locate
 from gsc_jax.render.visibility import check_views
@@ -47,16 +52,11 @@ class Inputs:
     detector: Detector | None
     scene: PlyScene
     cameras: list[Camera]
-    files: list[Path]
     warnings: list[str]
 
 
 def read_inputs(options: Locate, *, monitor: Monitor) -> Inputs:
-    """Read and check everything that a run of `locate` is given.
-
-    Raises:
-        InputError: if an input is invalid, or the folder of results would overwrite one.
-    """
+    """Read and check everything that a run of `locate` is given."""
     check_numbers(options)
     if (options.out / "edit.json").exists():
         raise InputError(
@@ -74,7 +74,7 @@ def read_inputs(options: Locate, *, monitor: Monitor) -> Inputs:
     files = [options.scene, options.masks, network_path(options), options.spec]
     files += camera_files(options.cameras) if options.cameras else []
     files = [path for path in files if path is not None]
-    refuse_overlap(options.out, files)
+    refuse_overlap(options.out, files, written=(*FILES, *BY_CAMERA))
     scene, cameras = read_scene(options, warnings, monitor)
     # Once, since NumPy reads the arrays of JAX without copying, but not the other way round.
     scene = dataclasses.replace(scene, gaussians=jax.device_put(scene.gaussians))
@@ -92,23 +92,18 @@ def read_inputs(options: Locate, *, monitor: Monitor) -> Inputs:
         detector=detector,
         scene=scene,
         cameras=cameras,
-        files=files,
         warnings=warnings,
     )
 
 
 def run_locate(options: Locate, *, monitor: Monitor | None = None) -> Located:
-    """Find the tampered Gaussians of a scene file and write the results.
-
-    Raises:
-        InputError: if an input is invalid or the results cannot be written.
-    """
+    """Find the tampered Gaussians of a scene file and write the results."""
     monitor = monitor or Monitor()
     with monitor.stage("load"):
         inputs = read_inputs(options, monitor=monitor)
     scene, cameras = inputs.scene, inputs.cameras
     identity = _identity(inputs)
-    with replacing(options.out, keep=inputs.files, identity=identity) as folder:
+    with replacing(options.out, identity=identity) as folder:
         store = ArrayStore(views_of(folder), max_bytes=memory_limit(options.memory) // EXPANDED)
         result = locate(
             scene.gaussians,
@@ -149,3 +144,39 @@ def _identity(inputs: Inputs) -> str:
     facts = detector, inputs.estimator.near, sorted(installed), sorted(versions().items())
     digest.update(repr(facts).encode())
     return digest.hexdigest()
+
+
+def dry_run(options: Locate, *, monitor: Monitor) -> tuple[list[str], list[str]]:
+    """Describe a run of `locate`, which is not started: lines to print, and warnings."""
+    existing = next(p for p in (options.out, *options.out.absolute().parents) if p.exists())
+    with writing_to(options.out):
+        tempfile.TemporaryFile(dir=existing).close()
+    inputs = read_inputs(options, monitor=monitor)
+    config: dict[str, Any] = dataclasses.asdict(inputs.estimator)  # pyright: ignore[reportArgumentType]
+    config |= {f"loop.{key}": value for key, value in config.pop("loop", {}).items()}
+    results = "replaces results" if (options.out / "result.json").exists() else "new results"
+    return [
+        f"Dry run: nothing was written to {options.out}.",
+        f"scene    {options.scene}: {len(inputs.scene.gaussians):,} Gaussians",
+        f"views    {_views(inputs)}",
+        *(f"evidence {source}" for source in _evidence(inputs)),
+        *(f"config   {name} = {value}" for name, value in config.items()),
+        f"writes   {options.out}: {results}",
+    ], inputs.warnings
+
+
+def _views(inputs: Inputs) -> str:
+    sizes = [(camera.width, camera.height) for camera in inputs.cameras]
+    pixels = " to ".join(f"{w} x {h}" for w, h in dict.fromkeys((min(sizes), max(sizes))))
+    cameras = inputs.options.cameras
+    return f"{len(sizes)} of {pixels} pixels, {f'from {cameras}' if cameras else 'on an orbit'}"
+
+
+def _evidence(inputs: Inputs) -> list[str]:
+    sources = ["the attributes of the Gaussians"] if inputs.attributes else []
+    if inputs.detector is not None:
+        count = len(inputs.detector.select(inputs.cameras))
+        network = network_path(inputs.options)
+        source = f"{network} on up to" if network else f"masks in {inputs.options.masks} of"
+        sources.append(f"{source} {count} views")
+    return sources

@@ -25,16 +25,15 @@ import gsc_jax
 from gsc_jax.cli.cache import cache_folder, enable_compilation_cache
 from gsc_jax.cli.config_file import read_config_file
 from gsc_jax.cli.demo import run_demo
-from gsc_jax.cli.dry_run import dry_run
 from gsc_jax.cli.evaluate import run_evaluate
-from gsc_jax.cli.locate import run_locate
-from gsc_jax.cli.locate_options import Locate
-from gsc_jax.cli.options import Demo, Evaluate, Render, Tamper, View
+from gsc_jax.cli.locate import dry_run, run_locate
+from gsc_jax.cli.options import Demo, Evaluate, Locate, Render, Tamper, View
 from gsc_jax.cli.progress import Bars
 from gsc_jax.cli.render import run_render
 from gsc_jax.cli.report.wording import summary
 from gsc_jax.cli.tamper import run_tamper
 from gsc_jax.evidence.monitor import Monitor
+from gsc_jax.io.validation import printable
 from gsc_jax.scene import InputError
 
 Command = Locate | Render | Tamper | Evaluate | View | Demo
@@ -49,9 +48,10 @@ COMMANDS: dict[str, type] = {
 ENVIRONMENT = (
     *(errno.EACCES, errno.EPERM, errno.EROFS),
     *(errno.ENOSPC, errno.EDQUOT, errno.EFBIG),
+    *(errno.ENAMETOOLONG, errno.ELOOP),
     *(errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EIO, errno.ESTALE),
 )
-"""Numbers of errors of the machine: permissions, a full disk, limits, a failing device."""
+"""Numbers of errors of the machine: permissions, a full disk, limits, names, a failing device."""
 Answer = tuple[list[str], list[str]]
 """Lines for stdout, and warnings."""
 
@@ -83,6 +83,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     command = None
     try:
         command = parse(argv)
+        _check_paths(command)
         _run(command)
     except InputError as error:
         return _refuse(f"{error}{_origin(command, argv, str(error))}")
@@ -96,11 +97,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def parse(argv: Sequence[str]) -> Command:
-    """Parse the arguments; with --config, the file supplies the defaults of `locate`.
-
-    Raises:
-        InputError: if the file of --config is invalid.
-    """
+    """Parse the arguments; with --config, the file supplies the defaults of `locate`."""
     finder = argparse.ArgumentParser(prog="gsc-jax locate", add_help=False, allow_abbrev=False)
     finder.add_argument("--config", type=Path)
     path = finder.parse_known_args(argv)[0].config
@@ -141,12 +138,17 @@ def _run(command: Command) -> None:
     try:
         with warnings.catch_warnings(record=True) as raised, Bars() as bars:
             lines, own = _answer(command, Monitor(progress=bars))
-        print(*lines, sep="\n", flush=True)
+        print(*map(printable, lines), sep="\n", flush=True)
     finally:
         found = list(dict.fromkeys([*own, *_sentences(raised)]))
         if found:
             count = f"{len(found)} warning{'s' if len(found) > 1 else ''}:"
-            print(count, *(f"  {sentence}" for sentence in found), sep="\n", file=sys.stderr)
+            print(
+                count,
+                *(f"  {printable(sentence)}" for sentence in found),
+                sep="\n",
+                file=sys.stderr,
+            )
 
 
 def _answer(command: Command, monitor: Monitor) -> Answer:
@@ -162,7 +164,7 @@ def _answer(command: Command, monitor: Monitor) -> Answer:
         case View():
             from gsc_jax.cli.viewer.server import run_view
 
-            return run_view(command, monitor=monitor, say=functools.partial(print, flush=True))
+            return run_view(command, monitor=monitor, say=_say)
         case Locate(dry_run=True):
             return dry_run(command, monitor=monitor)
         case Locate():
@@ -183,8 +185,8 @@ def _origin(command: Command | None, argv: Sequence[str], error: str) -> str:
     """Note that the path in an error comes from the file of --config, if it was not typed."""
     if not isinstance(command, Locate) or command.config is None:
         return ""
-    paths = {command.scene, command.cameras, command.masks, command.spec, *command.detector}
-    if not any(error.startswith(str(path)) for path in paths if path and str(path) not in argv):
+    paths = (str(path) for path in _paths(command) if path != command.config)
+    if not any(error.startswith(path) for path in paths if path not in argv):
         return ""
     return f" (given in {command.config}, whose paths are relative to the current folder)"
 
@@ -195,15 +197,36 @@ def _is_outside(error: OSError, command: Command | None) -> bool:
         return True
     if command is None or not isinstance(error.filename, str | bytes):
         return False
-    given: list[Any] = []
+    place = Path(os.fsdecode(error.filename)).absolute()
+    given = [path.absolute() for path in _paths(command) if path != getattr(command, "out", None)]
+    return any(place.is_relative_to(path) for path in given)
+
+
+def _paths(command: Command) -> list[Path]:
+    """All paths among the options."""
+    values: list[Any] = []
     for field in dataclasses.fields(command):
         value = getattr(command, field.name)
-        if field.name != "out":
-            given += value if isinstance(value, tuple) else [value]
-    place = Path(os.fsdecode(error.filename)).absolute()
-    return any(place.is_relative_to(path.absolute()) for path in given if isinstance(path, Path))
+        values += value if isinstance(value, tuple) else [value]
+    return [value for value in values if isinstance(value, Path)]
+
+
+def _check_paths(command: Command) -> None:
+    """Refuse paths that no file can have, before they are used."""
+    for path in _paths(command):
+        try:
+            path.stat()
+        except ValueError as error:
+            raise InputError(f"{path}: no file can have this name ({error}); rename it") from error
+        except OSError as error:
+            if error.errno in (errno.ENAMETOOLONG, errno.ELOOP):
+                raise InputError(f"{path}: {error.strerror}; give another path") from error
+
+
+def _say(line: str) -> None:
+    print(printable(line), flush=True)
 
 
 def _refuse(message: str) -> int:
-    print(f"gsc-jax: {' '.join(message.split())}", file=sys.stderr)
+    print(f"gsc-jax: {printable(' '.join(message.split()))}", file=sys.stderr)
     return 2

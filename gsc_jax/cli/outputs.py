@@ -19,9 +19,9 @@ from typing import Any
 import jax
 import numpy as np
 
-from gsc_jax.cli.located import Located
 from gsc_jax.cli.pictures import contact_sheet, jpeg_path, overlay, write_jpeg
 from gsc_jax.cli.report.page import report_page
+from gsc_jax.cli.report.wording import Located, found_traces
 from gsc_jax.cli.scene_input import evenly_spaced
 from gsc_jax.cli.staging import FILES, files_below
 from gsc_jax.evidence.monitor import Monitor
@@ -106,15 +106,14 @@ def _numbers(command: dict[str, Any], located: Located) -> dict[str, Any]:
     config = dataclasses.asdict(result.estimator)  # pyright: ignore[reportArgumentType]
     scene, seen = located.scene, int(result.seen.sum())
     stopping, prior = result.early_stopping, result.prior
-    traces = [trace for trace in getattr(prior, "traces", ()) if trace.found]
+    traces = {trace.name: trace.explanation for trace in found_traces(result)}
     return {
         "command": command,
         "method": result.method,
         "config": config,
         "seed": result.estimator.seed,
         "verdict": result.verdict,
-        "attributes": prior
-        and {"verdict": prior.verdict, "traces": {t.name: t.explanation for t in traces}},
+        "attributes": prior and {"verdict": prior.verdict, "traces": traces},
         "counts": {
             "rows": scene.total,
             "dropped": scene.dropped,

@@ -13,14 +13,9 @@ import numpy as np
 
 from gsc_jax.cli.options import Render
 from gsc_jax.cli.outputs import versions, write_json
+from gsc_jax.cli.ownership import refuse_blocked, refuse_foreign, refuse_overlap
 from gsc_jax.cli.scene_input import check_numbers, choose_cameras, naming, read_scene
-from gsc_jax.cli.staging import (
-    earlier_outputs,
-    refuse_blocked,
-    refuse_foreign,
-    refuse_overlap,
-    replacing,
-)
+from gsc_jax.cli.staging import replacing
 from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.io.cameras import camera_files, save_cameras
 from gsc_jax.io.masks import image_path, write_image
@@ -33,12 +28,7 @@ CAMERAS = "cameras.json"
 
 
 def run_render(options: Render, *, monitor: Monitor) -> tuple[list[str], list[str]]:
-    """Render a scene file from its cameras; return lines to print, and warnings.
-
-    Raises:
-        InputError: if an input is invalid, an image cannot be written, or a file exists in its
-            place that is not from an earlier run.
-    """
+    """Render a scene file from its cameras; return lines to print, and warnings."""
     warnings: list[str] = []
     check_numbers(options)
     if not all(0 <= channel <= 1 for channel in options.background):
@@ -53,9 +43,7 @@ def run_render(options: Render, *, monitor: Monitor) -> tuple[list[str], list[st
     with naming(options.cameras or options.scene):
         warnings += check_views(scene.gaussians, cameras, near=options.near)
     gaussians = jax.device_put(scene.gaussians)
-    listed = {*names, *earlier_outputs(options.out, REPORT)}
-    places = sorted({PurePosixPath(name).parts[0] for name in listed} - {REPORT, CAMERAS})
-    with replacing(options.out, keep=files, report=REPORT, by_camera=places) as folder:
+    with replacing(options.out, report=REPORT) as folder:
         if options.cameras is None:
             save_cameras(folder / CAMERAS, cameras)
         for done, camera in enumerate(cameras, start=1):
@@ -63,7 +51,7 @@ def run_render(options: Render, *, monitor: Monitor) -> tuple[list[str], list[st
             write_image(image_path(folder, camera.name), np.asarray(image))
             monitor.progress("render", done, len(cameras))
         command = dataclasses.asdict(options)
-        write_json(folder / REPORT, {"command": command, "versions": versions(), "outputs": names})
+        write_json(folder / REPORT, {"command": command, "versions": versions()})
     images = "1 image" if len(cameras) == 1 else f"{len(cameras)} images"
     return [f"{images} in {options.out}"], warnings
 

@@ -1,10 +1,11 @@
 """Reading the folder of results of `gsc-jax locate`.
 
-Files that do not fit together are refused. Inputs of the run, which may have changed since, are not
-read again.
+Files that do not fit together are refused. Nothing outside the folder is read, where it may have
+changed since the run; links that lead there are refused.
 """
 
 import dataclasses
+import os
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,6 +20,7 @@ from gsc_jax.io.validation import brief, one_line
 from gsc_jax.scene import Camera, Gaussians, InputError
 
 AGAIN = "run gsc-jax locate again"
+
 
 Count = Annotated[int, Field(ge=0)]
 Share = Annotated[float, Field(ge=0, le=1)]
@@ -37,8 +39,10 @@ class _View(_Entries):
 
 
 class _Config(_Entries):
-    threshold: float
-    near: Annotated[float, Field(gt=0)]
+    """The ranges are those of the estimators."""
+
+    threshold: Annotated[float, Field(ge=0, lt=1)]
+    near: Annotated[float, Field(ge=1e-9, le=1e9)]
 
 
 class _Counts(_Entries):
@@ -90,22 +94,21 @@ class Results:
 def read_results(folder: str | Path, *, max_bytes: int | None = None) -> Results:
     """Read the results of `gsc-jax locate` from the --out of the run.
 
-    `max_bytes` is the memory that may be allocated; see `memory_limit` for the default.
-
-    Raises:
-        InputError: if the folder holds no results, or files of it are missing, damaged, of another
-            version or of another run, or take more memory.
+    `max_bytes` is the memory that may be allocated; see `memory_limit` for the default. InputError
+    if files are missing, damaged, of another version or of another run, or take more memory.
     """
     folder = Path(folder)
     report = _read_report(folder)
-    scene = read_ply(folder / "tamper.ply", max_bytes=max_bytes)
-    tamper = read_by_row(folder / "tamper.npy", scene.total)[scene.rows]
+    scene = read_ply(result_file(folder, "tamper.ply"), max_bytes=max_bytes)
+    tamper = read_by_row(result_file(folder, "tamper.npy"), scene.total)[scene.rows]
     if not ((tamper >= 0) & (tamper <= 1)).all():
         raise InputError(f"{folder / 'tamper.npy'}: holds numbers outside [0, 1]; {AGAIN}")
-    labels = read_by_row(folder / "labels.npy", scene.total)[scene.rows]
-    cameras = load_cameras(
-        existing_file(folder / "views.json", expected="the cameras of the run"), max_bytes=max_bytes
-    )
+    labels = read_by_row(result_file(folder, "labels.npy"), scene.total)[scene.rows]
+    views_file = existing_file(result_file(folder, "views.json"), expected="the cameras of the run")
+    if not isinstance(read_table(views_file, remedy=AGAIN, max_bytes=max_bytes), list):
+        # A transforms.json names images anywhere, whose sizes would be read.
+        raise InputError(f"{views_file}: expected a list of cameras; {AGAIN}")
+    cameras = load_cameras(views_file, max_bytes=max_bytes)
     views = [(view["name"], view["width"], view["height"]) for view in report["per_view"]]
     for name, same in (
         ("tamper.ply", report["counts"]["gaussians"] == len(scene.rows)),
@@ -127,12 +130,18 @@ def read_results(folder: str | Path, *, max_bytes: int | None = None) -> Results
     )
 
 
-def read_by_row(path: Path, total: int) -> np.ndarray:
-    """Read a .npy file with a number per row of a scene file.
+def result_file(folder: Path, name: str | Path) -> Path:
+    """Path of a file in a folder of results; InputError if a link leads out of the folder."""
+    path = folder / name
+    if not Path(os.path.realpath(path)).is_relative_to(os.path.realpath(folder)):
+        raise InputError(
+            f"{path}: a link leads out of {folder}, which is not followed; copy the file"
+        )
+    return path
 
-    Raises:
-        InputError: if it cannot be read, or does not hold `total` numbers.
-    """
+
+def read_by_row(path: Path, total: int) -> np.ndarray:
+    """Read a .npy file of `total` numbers, one per row of a scene file, or raise InputError."""
     expected = f"a .npy of {total:,} numbers, one per row of the scene"
     existing_file(path, expected=expected)
     try:
@@ -148,8 +157,8 @@ def read_by_row(path: Path, total: int) -> np.ndarray:
 
 
 def _read_report(folder: Path) -> dict[str, Any]:
-    path = folder / "result.json"
-    if not path.is_file():
+    path = result_file(folder, "result.json")
+    if not path.exists():
         found = "holds no results of gsc-jax locate" if folder.is_dir() else "no such folder"
         raise InputError(f"{folder}: {found} (result.json); give the --out of a run")
     report = read_table(path, remedy=AGAIN)

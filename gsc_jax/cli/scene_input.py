@@ -6,10 +6,10 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path, PurePath
 
 from gsc_jax.cli.options import SceneOptions
-from gsc_jax.cli.staging import UNFINISHED
+from gsc_jax.cli.ownership import UNFINISHED
 from gsc_jax.evidence.monitor import Monitor
-from gsc_jax.io.allocation import memory_limit
 from gsc_jax.io.cameras import load_cameras
+from gsc_jax.io.files import memory_limit
 from gsc_jax.io.masks import image_path
 from gsc_jax.io.ply import PlyScene, read_ply
 from gsc_jax.render.orbit import orbit_cameras
@@ -36,11 +36,7 @@ def check_numbers(options: SceneOptions) -> None:
 def read_scene(
     options: SceneOptions, warnings: list[str], monitor: Monitor
 ) -> tuple[PlyScene, list[Camera]]:
-    """Read the scene file and the cameras, scaled and with names that can name files.
-
-    Raises:
-        InputError: if a file is invalid.
-    """
+    """Read the scene file and the cameras, scaled and with names that can name files."""
     monitor.progress("load", 0, 2)
     scene = read_ply(options.scene, max_bytes=memory_limit(options.memory))
     if scene.dropped:
@@ -124,9 +120,11 @@ def check_names(cameras: Sequence[Camera]) -> None:
 
 
 @contextlib.contextmanager
-def naming(path: Path) -> Iterator[None]:
-    """Prefix the message of an InputError with a file name."""
+def naming(path: Path, *, remedy: str = "") -> Iterator[None]:
+    """Prefix an InputError with a file name; with a remedy, turn any ValueError into one."""
     try:
         yield
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
+    except ValueError as error:
+        if not (remedy or isinstance(error, InputError)):
+            raise
+        raise InputError(f"{path}: {error}" + (f"; {remedy}" if remedy else "")) from error

@@ -15,18 +15,25 @@ import hmac
 import json
 import shutil
 from collections.abc import Iterator, Sequence
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 import filelock
 
-from gsc_jax.cli.cache import seal
-from gsc_jax.io.tables import read_table
+from gsc_jax.cli.ownership import (
+    JOURNAL,
+    UNFINISHED,
+    digest,
+    has_mark,
+    is_output,
+    listed_outputs,
+    read_journal,
+    refuse_blocked,
+    sealed,
+)
 from gsc_jax.scene import InputError
 
-UNFINISHED = ".unfinished"
-"""Folder for everything unfinished, inside the folder of results."""
-LOCK, NEW, VIEWS, IDENTITY, JOURNAL = "lock", "new", "views", "views.txt", "journal.json"
-"""In it: the lock, the new results, the arrays of views and what they belong to, the journal."""
+LOCK, NEW, VIEWS, IDENTITY = "lock", "new", "views", "views.txt"
+"""In it: the lock, the new results, the arrays of views and what they belong to."""
 OUTPUTS = {
     "overview.png": "a few views side by side",
     "render/": "renders of the views",
@@ -46,66 +53,20 @@ FILES = tuple(name for name in OUTPUTS if not name.endswith("/"))
 BY_CAMERA = tuple(name.rstrip("/") for name in OUTPUTS if name.endswith("/"))
 """Folders with a picture per camera."""
 PICTURES = (".png", ".jpg")
-EVALUATION = "evaluation.json"
-"""Scores of the results; they do not apply to the results of another run."""
-
-
-def refuse_overlap(
-    out: Path, inputs: Sequence[Path], *, written: Sequence[str] = (*FILES, *BY_CAMERA)
-) -> None:
-    """Raise InputError if writing the names `written` in the folder `out` overwrites an input."""
-    results = [(out / name).resolve() for name in written]
-    # A folder is read for the files in it, such as DIR/cameras.json.
-    inside = [folder / name for folder in inputs for name in written if folder.is_dir()]
-    for path in [*inputs, *(path for path in inside if path.exists())]:
-        if any(path.resolve().is_relative_to(result) for result in results):
-            raise InputError(f"{path}: the results would overwrite this input; give another --out")
-
-
-def earlier_outputs(out: Path, report: str) -> set[str]:
-    """Files in a folder that an earlier run has written, by its report or by its journal."""
-    names = _journal(out)["moved"]
-    with contextlib.suppress(InputError, LookupError, TypeError):
-        names = [*names, *read_table(out / report, remedy="")["outputs"]]
-    paths = [PurePosixPath(name) for name in names if isinstance(name, str) and "\0" not in name]
-    inside = [path for path in paths if path.parts and not path.is_absolute()]
-    return {str(path) for path in inside if ".." not in path.parts}
-
-
-def refuse_foreign(out: Path, names: Sequence[str], *, report: str) -> None:
-    """Raise InputError if one of the files exists and is not from an earlier run."""
-    own = earlier_outputs(out, report)
-    for name in names:
-        if (out / name).exists() and name not in own:
-            raise InputError(
-                f"{out / name}: exists, and {report} does not list it as the output of an earlier "
-                "run; give another --out"
-            )
-
-
-def refuse_foreign_file(path: Path, mark: str) -> None:
-    """Raise InputError if a file exists and does not have a text at its beginning, as ours have."""
-    with contextlib.suppress(OSError), path.open("rb") as file:  # a folder is refused later
-        if mark.encode() not in file.read(4096):
-            raise InputError(f"{path}: exists and is not from an earlier run; choose another name")
+EVALUATION, EVALUATION_MARK = "evaluation.json", '{\n  "folder": '
+"""Scores of the results, and their beginning; they do not apply to the results of another run."""
 
 
 @contextlib.contextmanager
 def replacing(
-    out: Path,
-    *,
-    keep: Sequence[Path] = (),
-    report: str = "result.json",
-    by_camera: Sequence[str] = BY_CAMERA,
-    identity: str | None = None,
+    out: Path, *, report: str = "result.json", identity: str | None = None
 ) -> Iterator[Path]:
     """Provide a temporary folder whose files are moved to `out` if the block succeeds.
 
     Args:
         out: The folder of results, created if missing.
-        keep: Files and folders that the run reads; none of them is removed as a leftover.
-        report: The file that lists the `outputs`; it is moved last, after report.html.
-        by_camera: Folders with a picture per camera, in which an earlier run may have left some.
+        report: The file whose `outputs` get a digest for every file; it is moved last, after
+            report.html.
         identity: Of the arrays that the run keeps in `views_of` the provided folder. If the block
             fails, they stay there for the next run of the same identity.
 
@@ -113,17 +74,17 @@ def replacing(
         InputError: if `out` cannot be written to, another run is writing to it, a folder exists
             where a file belongs, or a folder inside it is a link.
     """
-    _refuse_links(out, by_camera)
+    _refuse_links(out / UNFINISHED)
     created = [place for place in (out, *out.parents) if not place.exists()]
     work = out / UNFINISHED
     try:
         with _locked(work):
-            with _naming(out):
+            with writing_to(out):
                 _begin(work, out, identity)
             try:
                 yield work / NEW
-                with _naming(out):
-                    _commit(work, out, _leftovers(out, report, by_camera, keep), report)
+                with writing_to(out):
+                    _commit(work, out, report)
                     if identity is not None:
                         shutil.rmtree(work / VIEWS, ignore_errors=True)
             except InputError as error:
@@ -147,24 +108,12 @@ def files_below(folder: Path) -> list[str]:
     return sorted(path.as_posix() for path in paths)
 
 
-def refuse_blocked(out: Path, names: Sequence[str]) -> None:
-    """Raise InputError for a folder where a file is to be written, or a file where a folder is."""
-    folders = {out / place for name in names for place in PurePosixPath(name).parents}
-    blocked = [out / name for name in names if (out / name).is_dir()]
-    blocked += [place for place in sorted(folders) if place.exists() and not place.is_dir()]
-    if blocked:
-        kind = "folder" if blocked[0].is_dir() else "file"
-        raise InputError(f"{blocked[0]}: is a {kind}, where the results would go; move it")
-
-
-def _refuse_links(out: Path, by_camera: Sequence[str]) -> None:
-    """Refuse links to folders where results are written: they may lead anywhere."""
-    work, folders = out / UNFINISHED, [out / name for name in (UNFINISHED, *by_camera)]
-    for place in [*folders, *(place for folder in folders for place in folder.rglob("*"))]:
-        # Elsewhere, a link to a file is replaced and not followed.
-        if place.is_symlink() and (work in place.parents or not place.is_file()):
+def _refuse_links(work: Path) -> None:
+    """Refuse links in the place of anything unfinished: they may lead anywhere."""
+    for place in (work, *work.rglob("*")):
+        if place.is_symlink():
             raise InputError(
-                f"{place}: is a link, and results are written inside {out} only; remove the link"
+                f"{place}: is a link, and results are written inside {work.parent} only; remove it"
             )
 
 
@@ -172,7 +121,7 @@ def _refuse_links(out: Path, by_camera: Sequence[str]) -> None:
 def _locked(work: Path) -> Iterator[None]:
     """Hold the lock of a folder of results; the system releases that of a process that ends."""
     lock = filelock.FileLock(work / LOCK, timeout=0)
-    with _naming(work.parent):
+    with writing_to(work.parent):
         work.mkdir(parents=True, exist_ok=True)
         try:
             lock.acquire()
@@ -196,22 +145,32 @@ def _begin(work: Path, out: Path, identity: str | None) -> None:
     (work / NEW).mkdir()
     if identity is None:
         return
-    known, sealed = work / IDENTITY, _sealed(out, identity)
-    if not known.exists() or not hmac.compare_digest(known.read_bytes(), sealed):
+    known, content = work / IDENTITY, sealed(out, identity)
+    if not known.is_file() or not hmac.compare_digest(known.read_bytes(), content):
         if (work / VIEWS).exists():
             shutil.rmtree(work / VIEWS)
-        _write(known, sealed)
+        _write(known, content)
 
 
-def _commit(work: Path, out: Path, leftovers: Sequence[str], report: str) -> None:
+def _commit(work: Path, out: Path, report: str) -> None:
     """Write the journal, from which on the run cannot fail any more, and move the files."""
     names = files_below(work / NEW)
     refuse_blocked(out, names)
+    if report in names:
+        _add_digests(work / NEW, names, report)
     last = [name for name in ("report.html", report) if name in names]
     moved = [*(name for name in names if name not in last), *last]
-    removed = [*reversed(last), *(name for name in leftovers if name not in names)]
-    _write(work / JOURNAL, _sealed(out, json.dumps({"moved": moved, "removed": removed})))
+    removed = [*reversed(last), *_leftovers(out, report, names)]
+    _write(work / JOURNAL, sealed(out, json.dumps({"moved": moved, "removed": removed})))
     _publish(work, out)
+
+
+def _add_digests(new: Path, names: Sequence[str], report: str) -> None:
+    """List the files in the report, with the digests by which the next run recognises them."""
+    content = json.loads((new / report).read_text("utf-8"))
+    content["outputs"] = {name: None if name == report else digest(new / name) for name in names}
+    text = json.dumps(content, indent=2, ensure_ascii=False)
+    (new / report).write_text(text + "\n", "utf-8")
 
 
 def _publish(work: Path, out: Path) -> None:
@@ -219,7 +178,8 @@ def _publish(work: Path, out: Path) -> None:
 
     Old reports are removed first and new ones moved last: a folder with a report is complete.
     """
-    moved, removed = _journal(out).values()
+    moved, removed = read_journal(out).values()
+    refuse_blocked(out, [*moved, *removed])
     waiting = [name for name in moved if (work / NEW / name).exists()]
     for name in removed:
         if name in waiting or name not in moved:
@@ -239,54 +199,23 @@ def _end(work: Path, out: Path) -> None:
             (work / IDENTITY).unlink(missing_ok=True)
 
 
-def _journal(out: Path) -> dict[str, list[str]]:
-    """What a killed run of this user has still to move and remove; empty lists if nothing."""
-    with contextlib.suppress(OSError, ValueError):
-        content = (out / UNFINISHED / JOURNAL).read_bytes()
-        text = content.partition(b"\n")[2].decode("utf-8")
-        # A journal from elsewhere could remove or replace anything in the folder.
-        if hmac.compare_digest(content, _sealed(out, text)):
-            return json.loads(text)
-    return {"moved": [], "removed": []}
-
-
-def _sealed(out: Path, text: str) -> bytes:
-    """A text that is valid for this user and this folder only, after a line with its seal."""
-    return f"{seal(f'{out.resolve()} {text}')}\n{text}".encode()
-
-
 def _write(path: Path, content: bytes) -> None:
     partial = path.with_suffix(".part")
+    partial.unlink(missing_ok=True)  # opening a pipe of this name would block
     partial.write_bytes(content)
     partial.replace(path)
 
 
-def _leftovers(out: Path, report: str, by_camera: Sequence[str], keep: Sequence[Path]) -> list[str]:
-    """Pictures and scores of an earlier run, except inputs of this one.
-
-    The old report may be damaged or of another program: only pictures in the folders count.
-    """
-    inputs = [path.resolve() for path in keep]
-
-    def picture(path: PurePosixPath) -> bool:
-        return path.suffix in PICTURES and path.parts[0] in by_camera and ".." not in path.parts
-
-    def left(name: str) -> bool:
-        path = out / name
-        read = any(path.resolve().is_relative_to(place) for place in inputs)
-        return (path.is_file() or path.is_symlink()) and not read
-
-    try:
-        outputs = read_table(out / report, remedy="")["outputs"]
-        names = [name for name in outputs if picture(PurePosixPath(name))]
-        names += [EVALUATION] if "result.json" in outputs else []
-        return [name for name in names if left(name)]
-    except (InputError, OSError, ValueError, LookupError, TypeError):
-        return []
+def _leftovers(out: Path, report: str, names: Sequence[str]) -> list[str]:
+    """Pictures and scores of an earlier run that a run which writes `names` does not replace."""
+    digests = listed_outputs(out, report)
+    old = [name for name in digests if name not in names and name.endswith(PICTURES)]
+    scored = "result.json" in digests and has_mark(out / EVALUATION, EVALUATION_MARK)
+    return [*(name for name in old if is_output(out, name, digests)), *[EVALUATION] * scored]
 
 
 @contextlib.contextmanager
-def _naming(out: Path) -> Iterator[None]:
+def writing_to(out: Path) -> Iterator[None]:
     """Turn errors of the file system into an InputError that names the folder of results."""
     try:
         yield

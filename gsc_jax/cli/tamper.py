@@ -1,9 +1,8 @@
 """`gsc-jax tamper`: edit a scene file and write it with its truth, to test `locate`."""
 
-import contextlib
 import dataclasses
 import shlex
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import jax
@@ -16,18 +15,13 @@ from gsc_jax.benchmark.simulate import REGIMES, decoy_labels, simulate
 from gsc_jax.benchmark.tamper import Tampered, tamper
 from gsc_jax.cli.options import Tamper
 from gsc_jax.cli.outputs import save_array, versions, write_json
+from gsc_jax.cli.ownership import refuse_blocked, refuse_foreign, refuse_overlap
 from gsc_jax.cli.pictures import contact_sheet, overlay
-from gsc_jax.cli.scene_input import (
-    check_numbers,
-    choose_cameras,
-    evenly_spaced,
-    naming,
-    read_scene,
-)
-from gsc_jax.cli.staging import earlier_outputs, files_below, refuse_overlap, replacing
+from gsc_jax.cli.scene_input import check_numbers, choose_cameras, evenly_spaced, naming, read_scene
+from gsc_jax.cli.staging import replacing
 from gsc_jax.evidence.monitor import Monitor
-from gsc_jax.io.allocation import memory_limit
-from gsc_jax.io.cameras import save_cameras
+from gsc_jax.io.cameras import camera_files, save_cameras
+from gsc_jax.io.files import memory_limit
 from gsc_jax.io.masks import image_path, write_mask, write_probability
 from gsc_jax.io.ply import load_ply, save_ply
 from gsc_jax.render.projection import NEAR
@@ -35,26 +29,26 @@ from gsc_jax.render.visibility import check_views
 from gsc_jax.scene import Camera, Gaussians, InputError
 from gsc_jax.splat import render
 
-OUTPUTS = ("scene.ply", "cameras.json", "labels.npy", "overview.png", "masks", "truth")
+REPORT = "edit.json"
+FILES = ("scene.ply", "cameras.json", "labels.npy", "overview.png", REPORT)
+BY_CAMERA = ("masks", "truth")
+"""Folders with a picture per camera."""
 OVERVIEW_ROWS = 4
 """Rows of overview.png: as many as fit on a screen."""
 
 
 def run_tamper(options: Tamper, *, monitor: Monitor) -> tuple[list[str], list[str]]:
-    """Edit a scene file and write it with its truth; return lines to print, and warnings.
-
-    Raises:
-        InputError: if an input is invalid, or no place for the edit is found.
-    """
+    """Edit a scene file and write it with its truth; return lines to print, and warnings."""
     warnings: list[str] = []
     check_numbers(options)
-    files = _check(options)
+    _check(options)
     scene, cameras = read_scene(options, warnings, monitor)
     cameras = choose_cameras(options, cameras, warnings)
+    names = _planned(options, cameras)
+    refuse_foreign(options.out, names, report=REPORT)
+    refuse_blocked(options.out, names)
     donor = _donor(options)
-    with replacing(
-        options.out, keep=files, report="edit.json", by_camera=("masks", "truth")
-    ) as folder:
+    with replacing(options.out, report=REPORT) as folder:
         monitor.progress("edit", 0, 1)
         with naming(options.cameras or options.scene):
             warnings += check_views(scene.gaussians, cameras, near=options.near)
@@ -74,23 +68,24 @@ def run_tamper(options: Tamper, *, monitor: Monitor) -> tuple[list[str], list[st
     return _lines(options, edited), warnings
 
 
-def _check(options: Tamper) -> list[Path]:
-    """Refuse invalid options before anything is read; return the files that will be read."""
+def _check(options: Tamper) -> None:
+    """Refuse invalid options before anything is read."""
     if options.object is not None and options.edit != "incorporation":
         raise InputError(f"--object: a {options.edit} pastes nothing; leave it out")
     if not 0 < options.size <= 0.5:
         raise InputError(f"--size {options.size:g}: expected a share above 0, up to 0.5")
     if (options.out / "result.json").exists():
         raise InputError(f"{options.out}: holds results of `locate`; give another --out")
-    existing = [name for name in OUTPUTS if (options.out / name).exists()]
-    if existing and "edit.json" not in earlier_outputs(options.out, "edit.json"):
-        raise InputError(
-            f"{options.out / existing[0]}: exists and is not from `tamper`; give another --out"
-        )
-    given = (options.scene, options.cameras, options.object)
-    files = [path for path in given if path is not None]
-    refuse_overlap(options.out, files, written=OUTPUTS)
-    return files
+    files = [options.scene, *([options.object] if options.object else [])]
+    files += camera_files(options.cameras) if options.cameras else []
+    refuse_overlap(options.out, files, written=(*FILES, *BY_CAMERA))
+
+
+def _planned(options: Tamper, cameras: Sequence[Camera]) -> list[str]:
+    """Every file that is written, relative to the folder of --out."""
+    folders = ["truth"] if options.masks == "none" else BY_CAMERA
+    images = [image_path(folder, camera.name) for folder in folders for camera in cameras]
+    return [*FILES, *(path.as_posix() for path in images)]
 
 
 def _donor(options: Tamper) -> Gaussians | None:
@@ -100,18 +95,9 @@ def _donor(options: Tamper) -> Gaussians | None:
     if options.object is None:
         return make_object(seed=options.seed)
     donor = load_ply(options.object, max_bytes=memory_limit(options.memory))
-    with _naming(options.object, "expected a .ply of one object"):
+    with naming(options.object, remedy="expected a .ply of one object"):
         extent(donor)
     return donor
-
-
-@contextlib.contextmanager
-def _naming(path: Path, remedy: str) -> Iterator[None]:
-    """Turn a ValueError into an InputError that names a file and the remedy."""
-    try:
-        yield
-    except ValueError as error:
-        raise InputError(f"{path}: {error}; {remedy}") from error
 
 
 def _write(
@@ -134,7 +120,7 @@ def _write(
         failures = REGIMES[options.masks]
         decoy = None
         if failures.decoy:
-            with _naming(options.scene, "choose --masks clean"):
+            with naming(options.scene, remedy="choose --masks clean"):
                 labels = decoy_labels(edited.gaussians, edited.labels, seed=options.seed)
             decoy = masks(labels, "decoy")
         maps = simulate(truth, decoy, seed=options.seed, failures=failures)
@@ -170,9 +156,8 @@ def _write_description(
         "tampered": int(edited.labels.sum()),
         "visible": {name: round(float(share), 5) for name, share in shares},
         "versions": versions(),
-        "outputs": [*files_below(folder), "edit.json"],
     }
-    write_json(folder / "edit.json", description)
+    write_json(folder / REPORT, description)
 
 
 def _write_overview(

@@ -16,8 +16,8 @@ from typing import Any
 import diskcache
 import numpy as np
 
-from gsc_jax.detectors.session import single_line
 from gsc_jax.evidence.detector import Detector
+from gsc_jax.io.validation import brief
 from gsc_jax.scene import Camera
 
 MAX_BYTES = 2 * 2**30
@@ -106,7 +106,7 @@ class CachedDetector:
             with np.load(io.BytesIO(stored), allow_pickle=False) as entry:
                 return entry["probability"], json.loads(str(entry["diagnostics"]))
         except Exception as error:  # of the file system, SQLite, diskcache, a damaged archive
-            self._failures.append(single_line(error))
+            self._failures.append(brief(error))
             return None
 
     def _write(self, image: np.ndarray, probability: np.ndarray, diagnostics: Any) -> None:
@@ -116,7 +116,7 @@ class CachedDetector:
             with self._open() as cache:
                 cache.set(self._digest(image), buffer.getvalue())
         except Exception as error:  # of the file system, SQLite, diskcache
-            self._failures.append(single_line(error))
+            self._failures.append(brief(error))
 
 
 class _ClosedIfBroken(diskcache.Cache):

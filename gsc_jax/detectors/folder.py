@@ -37,13 +37,10 @@ class FolderDetector:
     needs_image = False
 
     def __init__(self, path: str | Path, *, max_bytes: int | None = None):
-        """List the images of a folder and its subfolders, without reading them.
+        """List the images of a folder and its subfolders; InputError if there are none.
 
-        An image that takes more than `max_bytes` of memory is refused when it is read; see
+        They are read later. One that then takes more than `max_bytes` of memory is refused; see
         `memory_limit` for the default.
-
-        Raises:
-            InputError: If the path is not a folder or contains no images.
         """
         self.path = Path(path)
         self._max_bytes = max_bytes
@@ -67,11 +64,7 @@ class FolderDetector:
         return digest.hexdigest()
 
     def select(self, cameras: Sequence[Camera]) -> list[Camera]:
-        """Cameras that have a mask, in their order.
-
-        Raises:
-            InputError: If no camera has one, or a match is ambiguous.
-        """
+        """Cameras that have a mask, in their order; InputError if there is none."""
         matched = self._matched(cameras)
         if matched:
             return [camera for camera in cameras if camera.name in matched]
@@ -86,8 +79,7 @@ class FolderDetector:
     def __call__(self, image: np.ndarray | None, camera: Camera) -> np.ndarray:  # noqa: ARG002
         """Probability of tampering in a view at the size of its file, shape (h, w) float32.
 
-        Raises:
-            InputError: If the camera has no mask, or the file is not a mask or has another aspect.
+        InputError if the camera has no mask, or the file is not a mask or has another aspect.
         """
         match = self._best_match(camera.name)
         if match is None:

@@ -1,22 +1,21 @@
-"""An ONNX network whose inputs and outputs are checked against the expected types and shapes."""
+"""An ONNX network whose inputs and outputs are checked, and the base class of its detectors."""
 
 import dataclasses
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
-from gsc_jax.detectors.session import CPU, open_session, single_line
-from gsc_jax.scene import InputError
+from gsc_jax.detectors.session import CPU, open_session
+from gsc_jax.io.validation import brief
+from gsc_jax.scene import Camera, InputError
 
 Shape = Sequence[int | str | None]
 
 FLOATS: Mapping[str, type] = {"tensor(float)": np.float32, "tensor(float16)": np.float16}
-NUMBERS: Mapping[str, type] = {
-    **FLOATS,
-    "tensor(int32)": np.int32,
-    "tensor(int64)": np.int64,
-}
+NUMBERS: Mapping[str, type] = {**FLOATS, "tensor(int32)": np.int32, "tensor(int64)": np.int64}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,12 +53,8 @@ class Network:
     ):
         """Load a model with `open_session`; raise InputError if its tensors differ from the specs.
 
-        Args:
-            path: The .onnx file.
-            inputs: All inputs, in the order of the model.
-            outputs: Outputs to compute, by position or name; the model may have others.
-            providers: See `open_session`.
-            threads: See `open_session`.
+        `inputs` are all inputs in the order of the model. `outputs` are those to compute, by
+        position or name; the model may have others.
         """
         self.path = path
         self._session = open_session(path, providers=providers, threads=threads)
@@ -94,7 +89,7 @@ class Network:
             given = ", ".join(f"{tensor.name} {shape_text(array.shape)}" for tensor, array in pairs)
             raise InputError(
                 f"{self.path}: the model fails on view {view!r} with {given}: "
-                f"{single_line(error)}; export the model for this shape"
+                f"{brief(error)}; export the model for this shape"
             ) from error
         outputs = [np.asarray(array, np.float32) for array in found]
         sides = dict(self.sides)
@@ -145,3 +140,56 @@ def shape_text(shape: Shape, sides: Mapping[str, int] | None = None) -> str:
     """Text of a shape with "?" for a free side and the lengths of named sides."""
     known = {None: "?", **(sides or {})}
     return "[" + ", ".join(str(known.get(side, side)) for side in shape) + "]"
+
+
+class NetworkDetector(ABC):
+    """A detector that computes a probability map from the image alone.
+
+    Attributes:
+        model: The model, for messages.
+        needs_image: True.
+        anomalies: Warning text for each anomaly in the output, with its "{count}".
+        diagnostics: Counts of the anomalies by view.
+    """
+
+    needs_image = True
+    anomalies: ClassVar[Mapping[str, str]] = {}
+
+    def __init__(self, model: Path):
+        self.model = model
+        self.diagnostics: dict[str, dict[str, int]] = {}
+
+    def select(self, cameras: Sequence[Camera]) -> list[Camera]:
+        """All cameras, since a network accepts any image; raises InputError if there are none."""
+        if not cameras:
+            raise InputError(f"{self.model}: there are no cameras to run the detector on")
+        return list(cameras)
+
+    def __call__(self, image: np.ndarray | None, camera: Camera) -> np.ndarray:
+        """Probability of tampering in a view at the resolution of the network, (h, w) float32.
+
+        Raises InputError if the network fails on the image (H, W, 3) or its output is invalid.
+        """
+        if image is None:
+            raise ValueError(f"{type(self).__name__} needs the rendered image")
+        probability, self.diagnostics[camera.name] = self.detect(image, camera.name)
+        return probability
+
+    @abstractmethod
+    def detect(self, image: np.ndarray, view: str) -> tuple[np.ndarray, dict[str, int]]:
+        """Probability of tampering in the image of a view, and counts of anomalies."""
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Anomalies in the outputs of the views so far."""
+        found = []
+        for anomaly, text in self.anomalies.items():
+            counts = {
+                view: all_[anomaly] for view, all_ in self.diagnostics.items() if all_[anomaly]
+            }
+            if counts:
+                found.append(
+                    f"{self.model}: {text.format(count=sum(counts.values()))} in {len(counts)} of "
+                    f"{len(self.diagnostics)} views (first in {next(iter(counts))!r})"
+                )
+        return tuple(found)

@@ -13,11 +13,9 @@ from typing import ClassVar
 import numpy as np
 from scipy.special import expit, softmax
 
-from gsc_jax.detectors.fingerprint import fingerprint
-from gsc_jax.detectors.network import Network, Shape, TensorSpec, fits, shape_text
-from gsc_jax.detectors.network_detector import NetworkDetector
+from gsc_jax.detectors.network import Network, NetworkDetector, Shape, TensorSpec, fits, shape_text
 from gsc_jax.detectors.preprocessing import Size, crop_map, fit_image, remap_threshold, to_tensor
-from gsc_jax.detectors.session import CPU
+from gsc_jax.detectors.session import CPU, fingerprint
 from gsc_jax.detectors.specs import PLAIN, PRESETS, OnnxSpec, preset
 from gsc_jax.scene import InputError
 
@@ -45,16 +43,13 @@ class OnnxDetector(NetworkDetector):
         providers: Sequence[str] = CPU,
         threads: int = 0,
     ):
-        """Load a model and compare it with the spec.
+        """Load a model and compare it with the spec; InputError if its tensors contradict it.
 
         Args:
             path: The .onnx file.
             spec: Input and output conventions, or the name of one of `PRESETS`.
             providers: See `open_session`.
             threads: Threads of one inference, 0 for all cores.
-
-        Raises:
-            InputError: If the file is not a valid model, or its tensors contradict the spec.
         """
         self.path = Path(path)
         super().__init__(self.path)

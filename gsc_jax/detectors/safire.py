@@ -17,12 +17,17 @@ from typing import ClassVar
 
 import numpy as np
 
-from gsc_jax.detectors.fingerprint import fingerprint
-from gsc_jax.detectors.network import NUMBERS, Network, TensorSpec, fits, shape_text
-from gsc_jax.detectors.network_detector import NetworkDetector
+from gsc_jax.detectors.network import (
+    NUMBERS,
+    Network,
+    NetworkDetector,
+    TensorSpec,
+    fits,
+    shape_text,
+)
 from gsc_jax.detectors.preprocessing import fit_image, to_tensor
 from gsc_jax.detectors.safire_regions import MIN_CONFIDENCE, forged_region, point_grid
-from gsc_jax.detectors.session import CPU
+from gsc_jax.detectors.session import CPU, fingerprint
 from gsc_jax.detectors.specs import OnnxSpec
 from gsc_jax.scene import InputError
 

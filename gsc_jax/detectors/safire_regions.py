@@ -42,14 +42,12 @@ def point_grid(count: int, *, side: int) -> np.ndarray:
 
 
 def forged_region(
-    logits: np.ndarray,
-    confidences: np.ndarray,
-    embeddings: np.ndarray,
-    *,
-    side: int,
-    seed: int = 0,
+    logits: np.ndarray, confidences: np.ndarray, embeddings: np.ndarray, *, side: int, seed: int = 0
 ) -> tuple[np.ndarray, dict[str, int]]:
-    """Probability of tampering from the masks of many prompts.
+    """Probability of tampering from the masks of many prompts, (side, side) float32, and counts.
+
+    The probability is 0 if nothing is flagged. The counts are of "unusable" predictions, and 1 or 0
+    for "one_source", an image of one source, and "unsure", low confidences.
 
     Args:
         logits: Masks, positive inside, shape (P, h, w).
@@ -57,10 +55,6 @@ def forged_region(
         embeddings: Embeddings of the image, shape (C, H, W); H divides h, W divides w.
         side: Pixels per side of the result.
         seed: Seed of the starts of k-means.
-
-    Returns:
-        Probability, shape (side, side) float32, 0 if nothing is flagged; and counts: "unusable"
-        predictions, "one_source" = 1 for an image of one source, "unsure" = 1 for low confidences.
     """
     directions = mask_directions(logits, embeddings)
     usable = np.flatnonzero(np.isfinite(confidences) & np.isfinite(directions).all(axis=1))
@@ -99,11 +93,9 @@ def mask_directions(logits: np.ndarray, embeddings: np.ndarray) -> np.ndarray:
 def two_groups(directions: np.ndarray, *, seed: int = 0) -> np.ndarray | None:
     """Partition unit vectors (P, C) by spherical k-means, k = 2, with starts as in k-means++.
 
-    The k-means of SciPy is Euclidean, so its border is closer to the narrower group.
-
-    Returns:
-        0 or 1 for each, shape (P,), with the largest summed lengths of the sums of both groups;
-        None if two groups explain no more than one.
+    The groups, 0 or 1, (P,), have the largest summed lengths of the sums of both groups; None if
+    two groups explain no more than one. The k-means of SciPy is Euclidean, so its border is closer
+    to the narrower group.
     """
     rng = np.random.default_rng(seed)
     longest = np.linalg.norm(directions.sum(axis=0)) + MIN_GAIN * len(directions)

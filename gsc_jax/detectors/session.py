@@ -1,14 +1,19 @@
-"""Open ONNX models with onnxruntime, and report every failure as an `InputError`.
+"""Open ONNX models with onnxruntime, report every failure as an `InputError`, and digest them.
 
 A model can keep tensors in other files. onnxruntime refuses files outside the folder of the model
 (absolute paths, "..", links), which the package relies on: pyproject.toml requires 1.27 or newer.
 Older versions read such files as values of sparse tensors.
 """
 
+import hashlib
+import mmap
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from gsc_jax.io.files import existing_file
+from gsc_jax.io.validation import brief
 from gsc_jax.scene import InputError
 
 if TYPE_CHECKING:
@@ -35,9 +40,7 @@ def open_session(
     """
     import onnxruntime
 
-    if not path.is_file():
-        found = "is a folder" if path.is_dir() else "does not exist"
-        raise InputError(f"{path}: {found}, expected an ONNX model")
+    existing_file(path, expected="an ONNX model")
     if threads < 0:
         raise InputError(f"{path}: {threads} threads, expected 0 (all cores) or more")
     names = provider_names(providers)
@@ -52,7 +55,7 @@ def open_session(
         )
     except Exception as error:  # the errors of onnxruntime have no common base class
         raise InputError(
-            f"{path}: onnxruntime cannot load it as an ONNX model ({single_line(error)}); export "
+            f"{path}: onnxruntime cannot load it as an ONNX model ({brief(error)}); export "
             "it again, with external tensors in the same folder"
         ) from error
     # onnxruntime silently drops a provider without a driver.
@@ -85,6 +88,37 @@ def provider_names(providers: Sequence[str]) -> list[str]:
     return [available[key] for key in short]
 
 
-def single_line(error: Exception) -> str:
-    """Message of an error with its line breaks replaced by spaces."""
-    return " ".join(str(error).split())
+LOCATION_ENTRY = re.compile(rb"\n\x08location\x12([\x80-\xff]?)([\x00-\x7f])", re.DOTALL)
+"""An entry "location" of a tensor in protocol buffers: tag, length, key, tag, length of the value
+as one or two base-128 digits, lowest first. The value follows."""
+
+
+def fingerprint(path: Path, *facts: object) -> str:
+    """Digest of everything that determines the output of a model for an image.
+
+    This is the model, which onnxruntime has loaded, with its external tensors, the version of
+    onnxruntime, the code of this folder and the given facts, such as the spec and the providers.
+    """
+    import onnxruntime
+
+    facts = (onnxruntime.__version__, *facts)
+    digest = hashlib.blake2b(repr(facts).encode(), digest_size=16)
+    for part in (*sorted(Path(__file__).parent.glob("*.py")), path, *external_files(path)):
+        with part.open("rb") as file:
+            digest.update(hashlib.file_digest(file, hashlib.blake2b).digest())
+    return digest.hexdigest()
+
+
+def external_files(path: Path) -> list[Path]:
+    """Existing files in which a model stores external tensors, sorted.
+
+    The entries that name these files are found by their byte pattern, without parsing the model.
+    onnxruntime has validated them when it loaded the model.
+    """
+    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as model:
+        names = set()
+        for entry in LOCATION_ENTRY.finditer(model):
+            low, high = (int.from_bytes(digit) for digit in entry.groups())
+            length = (low & 127) + (high << 7) if entry[1] else high
+            names.add(model[entry.end() : entry.end() + length].decode(errors="replace"))
+    return sorted(path.parent / name for name in names if (path.parent / name).is_file())

@@ -82,14 +82,6 @@ class GSChecker(Estimator):
 
     def __post_init__(self) -> None:
         """Check the fields."""
-        for option, known in (
-            ("consensus", tuple(CONSENSUS)),
-            ("attributes", tuple(ATTRIBUTES)),
-            ("path", ("evidence", "rendered")),
-        ):
-            if getattr(self, option) not in known:
-                found = getattr(self, option)
-                raise ValueError(f"{option} must be one of {', '.join(known)}, got {found!r}")
         check_fields(self, RANGES)
 
     def for_views(self, views: int) -> "GSChecker":
@@ -99,13 +91,8 @@ class GSChecker(Estimator):
     def estimate(self, observation: Observation, prior: Prior | None = None) -> Finding:
         """Vote, optimise the attribute, normalise and threshold it.
 
-        Args:
-            observation: Evidence and votes of V views of N Gaussians.
-            prior: Ignored, with a warning.
-
-        Returns:
-            The finding. It is defined also if all masks are empty or full, where the attribute
-            means nothing.
+        The prior is ignored, with a warning. The finding is defined also if all masks are empty or
+        full, where the attribute means nothing.
         """
         r = self.initial_attribute(observation)  # eq. 6, from the votes of eq. 5
         F = ATTRIBUTES[self.attributes](observation.gaussians)  # what eq. 7 compares

@@ -135,12 +135,7 @@ class Estimator(abc.ABC):
 
     @abc.abstractmethod
     def estimate(self, observation: Observation, prior: Prior | None = None) -> Finding:
-        """Compute scores and labels; deterministic for given fields.
-
-        Args:
-            observation: Evidence and votes of V views of N Gaussians.
-            prior: Probability per Gaussian from another source.
-        """
+        """Compute scores and labels from V views of N Gaussians; deterministic for given fields."""
 
     def for_views(self, views: int) -> Self:
         """The estimator with defaults that depend on the number of views filled in."""
@@ -149,23 +144,19 @@ class Estimator(abc.ABC):
 
 
 def check_fields(estimator: Estimator, ranges: Mapping[str, tuple[float, float]]) -> None:
-    """Raise ValueError for an unknown mask rule, and for numbers outside of their ranges."""
-    rules = typing.get_args(MaskRule)
-    if estimator.mask_rule not in rules:
-        raise ValueError(
-            f"mask_rule must be one of {', '.join(rules)}, got {estimator.mask_rule!r}"
-        )
+    """Raise ValueError for an unknown value of a `Literal`, and for numbers out of their ranges."""
+    for name, hint in typing.get_type_hints(type(estimator)).items():
+        known, value = typing.get_args(hint), getattr(estimator, name)
+        if typing.get_origin(hint) is Literal and value not in known:
+            raise ValueError(f"{name} must be one of {', '.join(known)}, got {value!r}")
     check_ranges(estimator, ranges)
 
 
 def unanimous(evidence: EvidenceOfViews) -> Finding | None:
     """Finding for masks that are all empty or all full, from which nothing can be estimated.
 
-    Args:
-        evidence: Evidence of V views, shapes (V, N).
-
-    Returns:
-        No labels if all masks are empty, all seen Gaussians if all masks are full, else None.
+    It labels nothing if all masks are empty, and all seen Gaussians if all are full; else it is
+    None.
     """
     seen = evidence.seen
     if evidence.none_flagged:

@@ -150,26 +150,17 @@ class SparseEvidence(EvidenceOfViews):
 
 
 def view_evidence(view: View, mask: Array) -> Evidence:
-    """Lift a mask: accumulate the blending weight of each Gaussian, in total and inside the mask.
-
-    Args:
-        view: A scene of N Gaussians, projected and binned for a camera.
-        mask: Tampered pixels, boolean or in [0, 1], shape (H, W).
-
-    Returns:
-        Evidence of shapes (N,).
-    """
+    """Lift a mask (H, W) in [0, 1]: blending weight of N Gaussians, in total and inside of it."""
     mask = jnp.asarray(mask, jnp.float32)
     total, tampered = accumulate(view, jnp.stack([jnp.ones_like(mask), mask], axis=-1)).T
     return Evidence(total=total, tampered=jnp.minimum(tampered, total))
 
 
 def sparse(evidence: Evidence) -> np.ndarray:
-    """The Gaussians with any weight in a view, of evidence (N,).
+    """The Gaussians with any weight in a view, of evidence (N,), shape (3, M) int32.
 
-    Returns:
-        Their rows, ascending, and the bits of total and of tampered, shape (3, M) int32: 12 bytes
-        for a visible Gaussian instead of 8 for each.
+    Their rows, ascending, and the bits of total and of tampered: 12 bytes for a visible Gaussian
+    instead of 8 for each.
     """
     total, tampered = np.asarray(evidence.total), np.asarray(evidence.tampered)
     rows = np.flatnonzero(total).astype(np.int32)

@@ -49,13 +49,9 @@ class Labelled(NamedTuple):
 
 
 def normalise(attribute: Array) -> jax.Array:
-    """Scale the attribute to a score: divide by its largest value, clip negative values.
+    """Divide an attribute (N,) by its largest value, and clip negative values to 0.
 
-    Args:
-        attribute: Raw r, shape (N,).
-
-    Returns:
-        Scores in [0, 1], shape (N,); all 0 when no attribute is positive.
+    The scores are in [0, 1]; all are 0 when no attribute is positive.
     """
     attribute = jnp.asarray(attribute)
     largest = jnp.max(attribute, initial=0.0)

@@ -42,8 +42,7 @@ class ArrayStore:
     def has(self, kind: str, name: str) -> bool:
         """Whether the store holds an array; a file that is incomplete or damaged does not count.
 
-        The digest at the end of a file is checked here, and not by `get`: a file may be damaged
-        between two runs, after a power failure for example.
+        The digest at the end of a file is checked here, and not by `get`.
         """
         key = _key(kind, name)
         if key in self._in_memory:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from gsc_jax.io.colmap import MODEL_FILES, is_colmap, read_colmap
 from gsc_jax.io.files import atomic
-from gsc_jax.io.inria import inria_item, read_inria
+from gsc_jax.io.json_cameras import inria_item, read_inria
 from gsc_jax.io.tables import read_table
 from gsc_jax.io.transforms import read_transforms
 from gsc_jax.io.validation import shown

@@ -11,12 +11,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gsc_jax.io.allocation import check_allocation
+from gsc_jax.io.files import check_allocation, existing_file
 from gsc_jax.io.json_cameras import pinhole
 from gsc_jax.io.validation import brief, shown
 from gsc_jax.scene import Camera, InputError
 
 MODEL_FILES = ("cameras.bin", "cameras.txt", "images.bin", "images.txt")
+EXPECTED = "cameras and images of a COLMAP model, as .bin or as .txt"
 MODELS = {
     "SIMPLE_PINHOLE": 3,
     "PINHOLE": 4,
@@ -58,17 +59,15 @@ def is_colmap(folder: Path) -> bool:
 def read_colmap(folder: Path, *, max_bytes: int | None = None) -> list[Camera]:
     """Read the registered images of a COLMAP model with their full intrinsics, sorted by name.
 
-    Binary files are preferred. `max_bytes` is the memory that may be allocated.
-
-    Raises:
-        InputError: If a file is missing, damaged or too large, or a camera is distorted.
+    Binary files are preferred. A file that is missing, damaged or takes more than `max_bytes` of
+    memory, or a distorted camera, raises InputError.
     """
-    binary = all((folder / f"{kind}.bin").is_file() for kind in ("cameras", "images"))
+    binary = all((folder / f"{kind}.bin").exists() for kind in ("cameras", "images"))
     read_cameras, read_images = _BINARY if binary else _TEXT
     files = [folder / f"{kind}.{'bin' if binary else 'txt'}" for kind in ("cameras", "images")]
     file = files[0]
     try:
-        size = sum(f.stat().st_size for f in files)
+        size = sum(existing_file(f, expected=EXPECTED).stat().st_size for f in files)
         check_allocation(folder, BYTES_PER_BYTE[binary] * size, max_bytes)
         intrinsics = dict(read_cameras(file))
         file = files[1]
@@ -77,8 +76,7 @@ def read_colmap(folder: Path, *, max_bytes: int | None = None) -> list[Camera]:
         raise
     except (OSError, ValueError, LookupError, OverflowError, struct.error) as error:
         raise InputError(
-            f"{file}: missing or damaged ({brief(error)}), expected cameras and images of a COLMAP "
-            "model, as .bin or as .txt; copy or export the model again"
+            f"{file}: missing or damaged ({brief(error)}), expected {EXPECTED}; export it again"
         ) from error
     return [_camera(image, intrinsics.get(image.camera_id), folder) for image in images]
 

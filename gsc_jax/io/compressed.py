@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gsc_jax.io.allocation import check_allocation
+from gsc_jax.io.files import check_allocation
 from gsc_jax.io.tables import BYTES_PER_CHARACTER
 from gsc_jax.io.validation import brief, shown
 from gsc_jax.scene import Gaussians, InputError
@@ -47,11 +47,8 @@ BLOCK_BYTES = 2**20
 def read_compressed(path: Path, max_bytes: int | None = None) -> Gaussians:
     """Read all Gaussians of a .spz or .sog file or a PlayCanvas .compressed.ply, NumPy float32.
 
-    `max_bytes` is the memory that may be allocated; what a file expands to is checked before.
-
-    Raises:
-        InputError: If gsply is not installed, does not know the format, or finds the file damaged,
-            or if the Gaussians take more memory.
+    What a file expands to is compared with `max_bytes` before it is allocated. InputError if it is
+    more, or if gsply is not installed, does not know the format, or finds the file damaged.
     """
     kind = path.suffix.lower()
     if kind in (".splat", ".ksplat"):
@@ -82,9 +79,8 @@ def read_compressed(path: Path, max_bytes: int | None = None) -> Gaussians:
 def is_compressed_ply(ply: "PlyData", path: Path) -> bool:
     """Return whether a parsed PLY holds packed Gaussians, as PlayCanvas and SuperSplat write them.
 
-    Raises:
-        InputError: If its elements differ from the layout that gsply assumes: gsply would read out
-            of bounds.
+    A layout that differs from the one that gsply assumes raises InputError: gsply would read out of
+    bounds.
     """
     if "vertex" not in ply or "packed_position" not in ply["vertex"]:
         return False

@@ -32,10 +32,8 @@ def decode(vertex: "PlyElement", path: Path) -> Gaussians:
     """Extract all rows of a vertex element as Gaussians, NumPy float32.
 
     Normals and other properties are ignored; `scale_2` may be missing (2DGS). Rows that cannot be
-    rendered are included; values beyond float32 are infinite. The path is for messages.
-
-    Raises:
-        InputError: If properties are missing, or the number of `f_rest_*` fits no degree 0 to 3.
+    rendered are included; values beyond float32 are infinite. Missing properties, or a number of
+    `f_rest_*` that fits no degree 0 to 3, raise InputError of the path.
     """
     scales = SCALE if SCALE[2] in vertex else SCALE[:2]
     rest = _rest_names(vertex, path)

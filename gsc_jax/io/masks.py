@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gsc_jax.io.allocation import check_allocation
-from gsc_jax.io.files import atomic, existing_file
+from gsc_jax.io.files import atomic, check_allocation, existing_file
 from gsc_jax.io.validation import shown
 from gsc_jax.scene import InputError
 

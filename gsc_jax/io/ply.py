@@ -18,8 +18,7 @@ import jax
 import numpy as np
 
 from gsc_jax.io import compressed
-from gsc_jax.io.allocation import check_allocation
-from gsc_jax.io.files import atomic, existing_file
+from gsc_jax.io.files import atomic, check_allocation, existing_file
 from gsc_jax.io.layout import REST_COUNTS, checked_scores, decode, encode
 from gsc_jax.io.validation import brief
 from gsc_jax.scene import Array, Gaussians, InputError, invalid_rows
@@ -114,10 +113,7 @@ def load_ply(path: str | Path, *, max_bytes: int | None = None) -> Gaussians:
         max_bytes: Memory that may be allocated; see `memory_limit` for the default.
 
     Returns:
-        The Gaussians that can be rendered, NumPy float32.
-
-    Raises:
-        InputError: As `read_ply`.
+        The Gaussians that can be rendered, NumPy float32; InputError as for `read_ply`.
     """
     scene = read_ply(path, max_bytes=max_bytes)
     if scene.dropped:

@@ -9,7 +9,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from gsc_jax.io.allocation import check_allocation
+from gsc_jax.io.files import check_allocation, existing_file
 from gsc_jax.io.validation import brief
 from gsc_jax.scene import InputError
 
@@ -21,17 +21,13 @@ PARSERS = {".json": json.loads, ".toml": tomllib.loads}
 
 
 def read_table(path: Path, *, remedy: str, max_bytes: int | None = None) -> Any:
-    """Parse a file as TOML if its suffix is .toml, else as JSON.
+    """Parse a file in UTF-8 as TOML if its suffix is .toml, else as JSON.
 
-    Args:
-        path: The file, in UTF-8.
-        remedy: End of the error message, what to do about a damaged file.
-        max_bytes: Memory that may be allocated; see `memory_limit` for the default.
-
-    Raises:
-        InputError: If the file cannot be read, is too large, or is not valid.
+    A file that cannot be read, is not valid or takes more than `max_bytes` of memory raises
+    InputError, whose message ends with the `remedy`.
     """
     suffix = ".toml" if path.suffix.lower() == ".toml" else ".json"
+    existing_file(path, expected=suffix[1:].upper())
     try:
         check_allocation(path, BYTES_PER_CHARACTER * path.stat().st_size, max_bytes)
         content = PARSERS[suffix](path.read_text(encoding="utf-8-sig"))

@@ -15,14 +15,7 @@ import numpy as np
 import pydantic
 from pydantic import Field
 
-from gsc_jax.io.json_cameras import (
-    FocalLength,
-    Number,
-    Pixels,
-    Vector4,
-    construct_cameras,
-    pinhole,
-)
+from gsc_jax.io.json_cameras import FocalLength, Number, Pixels, Vector4, construct_cameras, pinhole
 from gsc_jax.io.masks import open_image
 from gsc_jax.io.validation import shown
 from gsc_jax.scene import Camera, InputError

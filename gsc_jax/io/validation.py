@@ -56,6 +56,14 @@ _REPR = reprlib.Repr()
 _REPR.maxstring = _REPR.maxother = _REPR.maxlong = SHOWN_CHARACTERS
 
 
+def printable(text: str) -> str:
+    """The text with escapes for what a terminal would not show: it could obey an escape sequence.
+
+    Names of files and values in them reach the terminal in errors, warnings and results.
+    """
+    return "".join(sign if sign.isprintable() else repr(sign)[1:-1] for sign in text)
+
+
 def brief(error: Exception) -> str:
     """The message of an exception of another library, on one line that is not too long."""
     text = " ".join(str(error).split()) or type(error).__name__

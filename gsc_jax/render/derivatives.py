@@ -24,14 +24,8 @@ def derivatives(
     which is 0 where alpha is clamped or dropped. The rest is a running difference, since the image
     is known, so nothing is stored for a pixel and a splat.
 
-    Args:
-        view: The view that was composited.
-        features: Its features, shape (N, D).
-        image: Their image W c, shape (H, W, D).
-        cotangent: Derivative of a loss by the image, shape (H, W, D).
-
-    Returns:
-        Derivatives of the loss by `view.splats`, (N + 1, 6), and by the features, (N, D).
+    The features have shape (N, D), their image W c and its cotangent (H, W, D). Returns the
+    derivatives by `view.splats`, (N + 1, 6), and by the features, (N, D).
     """
     splats = jnp.asarray(view.splats)
     tiled, along = split_tiles(view, cotangent), jnp.sum(cotangent * image, axis=2, keepdims=True)

@@ -128,10 +128,7 @@ def look_at(eye: np.ndarray, target: np.ndarray, up: np.ndarray) -> np.ndarray:
 
 
 def mean_up(cameras: Sequence[Camera]) -> np.ndarray:
-    """Up direction of a scene, unit, shape (3,): the mean over cameras, mostly held level.
-
-    If the directions of the cameras cancel, it is `DEFAULT_UP`.
-    """
+    """Up direction of a scene, unit, (3,): the mean over cameras; `DEFAULT_UP` if they cancel."""
     up = -np.mean([np.asarray(camera.viewmat, np.float64)[1, :3] for camera in cameras], axis=0)
     length = np.linalg.norm(up)
     return up / length if length > MIN_MEAN_UP else DEFAULT_UP.copy()

@@ -37,22 +37,20 @@ NO_CONVENTION = (
 def check_views(
     gaussians: Gaussians, cameras: Sequence[Camera], *, near: float = NEAR
 ) -> list[str]:
-    """Check the share of Gaussians that are visible from at least one camera.
+    """Check the share of Gaussians that are visible from at least one camera; return warnings.
 
-    Returns:
-        Warnings, one line each: cameras that see nothing, a low share, a near plane (in world
-        units) that cuts most away.
-
-    Raises:
-        InputError: if there are no cameras or no Gaussians, or if the share is below 1 %.
-        ValueError: if the shapes of the parameters do not belong together.
+    They are one line each: cameras that see nothing, a low share, a near plane (in world units)
+    that cuts most away. A share below 1 %, also for want of cameras or Gaussians, raises
+    InputError.
     """
     check_shapes(gaussians)
     if not cameras:
         raise InputError("no cameras for the scene; give at least one")
     if not len(gaussians):
         raise InputError("the scene has no Gaussians")
-    points = _sample(opaque_means(gaussians))
+    points = opaque_means(gaussians)
+    count = min(len(points), MAX_POINTS)
+    points = points[np.linspace(0, len(points) - 1, count).astype(np.int64)]
     viewmats = [np.asarray(camera.viewmat, np.float64) for camera in cameras]
     depths = _depths(points, viewmats, cameras)
     seen = depths > near
@@ -73,11 +71,6 @@ def check_views(
         advice = _better_convention(points, viewmats, cameras)
         warnings.append(f"{len(blind)} of {len(cameras)} cameras see nothing: {names}{advice}")
     return warnings
-
-
-def _sample(points: np.ndarray) -> np.ndarray:
-    count = min(len(points), MAX_POINTS)
-    return points[np.linspace(0, len(points) - 1, count).astype(np.int64)]
 
 
 def _depths(

@@ -90,14 +90,10 @@ def check_shapes(gaussians: Gaussians) -> None:
 
 
 def invalid_rows(gaussians: Gaussians) -> dict[str, np.ndarray]:
-    """Find the Gaussians that cannot be rendered.
+    """Find the Gaussians that cannot be rendered: boolean arrays (N,) by reason.
 
-    Returns:
-        Boolean arrays of shape (N,) by reason; a row may have several. An opacity of plus infinity
-        is valid (fully opaque), and one of minus infinity is merely invisible.
-
-    Raises:
-        ValueError: if the shapes of the parameters do not belong together.
+    An opacity of plus infinity is valid (fully opaque), and one of minus infinity is merely
+    invisible. Shapes that do not belong together raise ValueError.
     """
     check_shapes(gaussians)
     host = jax.tree.map(np.asarray, gaussians)

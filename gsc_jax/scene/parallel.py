@@ -37,6 +37,6 @@ def in_blocks(function: Callable[[np.ndarray], np.ndarray], rows: np.ndarray) ->
     return np.concatenate([function(rows[block]) for block in blocks(max(len(rows), 1))])
 
 
-def blocks(count: int) -> list[slice]:
-    """Slices of at most `BLOCK` that cover `count` rows."""
-    return [slice(start, start + BLOCK) for start in range(0, count, BLOCK)]
+def blocks(count: int, size: int = BLOCK) -> list[slice]:
+    """Slices of at most `size` that cover `count` rows."""
+    return [slice(start, start + size) for start in range(0, count, size)]

@@ -14,6 +14,7 @@ from camera_files import write_colmap
 from cli_case import FIXTURES, contents, given, record_network_views, report, run
 from onnx_models import slow_network
 
+from gsc_jax.cli import cache as user_cache
 from gsc_jax.cli import detector_choice
 from gsc_jax.cli.staging import UNFINISHED
 from gsc_jax.io.cameras import load_cameras
@@ -68,7 +69,8 @@ def interrupt(
 def test_while_a_network_runs(case, tmp_path, monkeypatch):
     """Outputs of the network so far are cached, and the next run continues from them."""
     cache, out = tmp_path / "cache", tmp_path / "out"
-    monkeypatch.setattr(detector_choice, "cache_folder", lambda: cache / "gsc_jax")
+    for module in (detector_choice, user_cache):  # which holds the secret of the user, too
+        monkeypatch.setattr(module, "cache_folder", lambda: cache / "gsc_jax")
     model = slow_network(tmp_path / "slow.onnx", 300_000)
     assert run(*given(case), "--out", out).code == 0
     before = contents(out)

@@ -6,6 +6,7 @@ import shutil
 
 import imageio.v3 as iio
 import numpy as np
+import pytest
 from cli_case import FIXTURES, NAMES, contents, given, refused, run
 
 from gsc_jax.io.cameras import load_cameras, save_cameras
@@ -88,3 +89,26 @@ def test_images_are_not_written_through_links(case, tmp_path):
     argv = ["render", case / "scene.ply", "--cameras", tmp_path / "cameras.json", "--out", out]
     assert "is a link" in refused(*argv)
     assert not contents(elsewhere)
+
+
+@pytest.mark.parametrize("origin", ["written by others", "edited"])
+def test_a_list_that_this_program_did_not_write_there_removes_nothing(case, tmp_path, origin):
+    argv = ["render", case / "scene.ply", "--cameras", case, "--views", 1, "--out"]
+    assert run(*argv, tmp_path).code == 0
+    report = json.loads((tmp_path / "render.json").read_text())
+    if origin == "written by others":
+        report["outputs"] = {"render.json": None}
+    report["outputs"]["c.png"] = "0" * 64
+    (tmp_path / "render.json").write_text(json.dumps(report))
+    (tmp_path / "c.png").write_bytes(b"mine")
+    assert "another --out" in refused(*argv, tmp_path)
+    assert (tmp_path / "c.png").read_bytes() == b"mine"
+
+
+def test_a_copy_of_results_can_be_rendered_into(case, tmp_path):
+    argv = ["render", case / "scene.ply", "--cameras", case, "--out"]
+    assert run(*argv, tmp_path / "there").code == 0
+    out = shutil.copytree(tmp_path / "there", tmp_path / "here")
+    (out / "mine.png").write_bytes(b"mine")
+    assert run(*argv, out, "--views", 1).code == 0
+    assert contents(out).keys() == {image_path("", NAMES[0]).as_posix(), "mine.png", "render.json"}

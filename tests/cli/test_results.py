@@ -4,13 +4,14 @@ import json
 import shutil
 from pathlib import Path
 
+import imageio.v3 as iio
 import numpy as np
 import pytest
 from results_folder import BROKEN, COUNT, rewrite_report, write_results
 from strategies import random_scene, with_row
 
 from gsc_jax.cli.locate import run_locate
-from gsc_jax.cli.locate_options import Locate
+from gsc_jax.cli.options import Locate
 from gsc_jax.cli.results import read_results
 from gsc_jax.io.cameras import save_cameras
 from gsc_jax.io.masks import image_path, write_mask
@@ -111,6 +112,12 @@ class TestRefusals:
         (folder / "result.json").write_text(text)
         assert refusal(folder).startswith(f"{folder / 'result.json'}: ")
 
+    def test_cameras_whose_sizes_are_those_of_images_anywhere(self, folder, tmp_path):
+        iio.imwrite(tmp_path / "image.png", np.zeros((8, 8), np.uint8))
+        frame = {"file_path": f"{tmp_path}/image.png", "transform_matrix": np.eye(4).tolist()}
+        (folder / "views.json").write_text(json.dumps({"frames": [frame], "fl_x": 8}))
+        assert "views.json: expected a list of cameras" in refusal(folder)
+
     def test_a_list_instead_of_a_report(self, folder):
         (folder / "result.json").write_text("[1]")
         assert "result.json: expected an object with keys, found [1]; run" in refusal(folder)
@@ -133,6 +140,11 @@ class TestRefusals:
             {"counts": {"tampered": "1", "gaussians": 1}},
             {"config": {"threshold": float("nan"), "near": 0.2}},
             {"config": {"threshold": 0.5, "near": 0}},
+            {"config": {"threshold": 5, "near": 0.2}},
+            {"config": {"threshold": 1, "near": 0.2}},
+            {"config": {"threshold": -1e308, "near": 0.2}},
+            {"config": {"threshold": 0.5, "near": 1e308}},
+            {"config": {"threshold": 0.5, "near": 1e-308}},
             {"config": {"threshold": 0.5, "near": "0.2"}},
             {"per_view": [{"name": 1, "width": 80, "height": 60}]},
         ],

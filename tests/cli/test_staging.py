@@ -4,6 +4,7 @@ import contextlib
 import json
 import os
 import re
+import shutil
 import signal
 from pathlib import Path
 
@@ -11,12 +12,19 @@ import pytest
 from cli_case import contents
 
 from gsc_jax.cli import cache, staging
-from gsc_jax.cli.locate_options import Locate
-from gsc_jax.cli.staging import OUTPUTS, UNFINISHED, replacing, views_of
+from gsc_jax.cli.options import Locate
+from gsc_jax.cli.ownership import refuse_foreign
+from gsc_jax.cli.staging import EVALUATION_MARK, OUTPUTS, UNFINISHED, replacing, views_of
 from gsc_jax.scene import InputError
 
 NAMES = ("highlight.ply", "labels.npy", "masks/a.png", "report.html", "result.json")
 README = (Path(__file__).resolve().parents[2] / "README.md").read_text(encoding="utf-8")
+
+
+@pytest.fixture(autouse=True)
+def own_secret(tmp_path_factory, monkeypatch):
+    folder = tmp_path_factory.mktemp("cache")
+    monkeypatch.setattr(cache, "cache_folder", lambda: folder)
 
 
 def write(folder: Path, content: str, names: tuple[str, ...] = NAMES) -> None:
@@ -24,15 +32,16 @@ def write(folder: Path, content: str, names: tuple[str, ...] = NAMES) -> None:
     for name in names:
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_text(content)
-    (folder / "result.json").write_text(json.dumps({"run": content, "outputs": names}))
+    (folder / "result.json").write_text(json.dumps({"run": content}))
 
 
 @pytest.fixture
-def out(tmp_path) -> Path:
+def out(tmp_path, own_secret) -> Path:
     """Results of an earlier run with one more view, and their scores."""
     out = tmp_path / "out"
-    write(out, "old", (*NAMES, "masks/b.png"))
-    (out / "evaluation.json").write_text("old")
+    with replacing(out) as folder:
+        write(folder, "old", (*NAMES, "masks/b.png"))
+    (out / "evaluation.json").write_text(f"{EVALUATION_MARK}old")
     return out
 
 
@@ -128,12 +137,6 @@ def test_two_runs_do_not_write_into_one_folder(out):
     assert (out / "labels.npy").read_text() == "new"
 
 
-@pytest.fixture(autouse=True)
-def own_secret(tmp_path_factory, monkeypatch):
-    folder = tmp_path_factory.mktemp("cache")
-    monkeypatch.setattr(cache, "cache_folder", lambda: folder)
-
-
 def test_no_link_of_an_unfinished_run_is_followed(out, tmp_path):
     (tmp_path / "mine.txt").write_text("mine")
     (out / UNFINISHED).mkdir()
@@ -151,9 +154,10 @@ def test_nothing_outside_of_the_folder_is_removed_or_written(out, tmp_path, link
         (out / "masks").rename(tmp_path / "masks")
     (out / linked).symlink_to(elsewhere)
     before = contents(elsewhere)
-    with pytest.raises(InputError, match="is a link"), replacing(out):
-        raise AssertionError("the run begins")
+    with pytest.raises(InputError, match="is a link"), replacing(out) as folder:
+        write(folder, "new", (*NAMES, "masks/left/a.png"))
     assert contents(elsewhere) == before
+    assert (out / "labels.npy").read_text() == "old"
 
 
 @pytest.mark.parametrize("sealed", [b"", b"[]", b'{"moved": [], "removed": ["mine.txt"]}'])
@@ -201,7 +205,11 @@ def test_another_command_keeps_the_views_of_an_interrupted_run(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "listed", ["{", "[" * 100_000, "3", '{"outputs": [3, "masks/\\u0000.png"]}']
+    "listed",
+    [
+        *("{", "[" * 100_000, "3", '{"outputs": [3, "masks/\\u0000.png"]}'),
+        '{"outputs": {"result.json": null, "masks/\\u0000.png": 3, "../a.png": [], "/": {}}}',
+    ],
 )
 def test_a_damaged_report_of_an_earlier_run_is_replaced(out, listed):
     (out / "result.json").write_text(listed)
@@ -210,22 +218,43 @@ def test_a_damaged_report_of_an_earlier_run_is_replaced(out, listed):
     assert json.loads((out / "result.json").read_text())["run"] == "new"
 
 
-def test_the_target_of_a_link_is_kept(out, tmp_path):
+@pytest.mark.parametrize("listed", ["masks/b.png", "../precious.png", "elsewhere/precious.png"])
+def test_only_files_inside_of_the_folder_that_are_as_they_were_written_are_removed(
+    out, tmp_path, listed
+):
     precious = tmp_path / "precious.png"
-    precious.write_text("mine")
+    precious.write_text("old")
     (out / "masks" / "b.png").unlink()
     (out / "masks" / "b.png").symlink_to(precious)
+    (out / "elsewhere").symlink_to(tmp_path)
+    report = json.loads((out / "result.json").read_text())
+    report["outputs"] = {"result.json": None, listed: report["outputs"]["masks/b.png"]}
+    (out / "result.json").write_text(json.dumps(report))
+    with pytest.raises(InputError, match=f"{listed}: has changed"):
+        refuse_foreign(out, [], report="result.json")
     with replacing(out) as folder:
         write(folder, "new")
-    assert precious.read_text() == "mine"
-    assert not (out / "masks" / "b.png").is_symlink()
+    assert precious.read_text() == "old"
+    assert (out / "masks" / "b.png").is_symlink()
 
 
-def test_inputs_of_the_run_are_kept(out):
-    with replacing(out, keep=[out / "masks"]) as folder:
+@pytest.mark.parametrize("changed", ["labels.npy", "masks/b.png"])
+def test_a_changed_file_is_refused_and_a_copied_folder_is_not(out, tmp_path, changed):
+    refuse_foreign(shutil.copytree(out, tmp_path / "copy"), NAMES, report="result.json")
+    (out / changed).write_text("corrected by hand")
+    with pytest.raises(InputError, match=f"{changed}: has changed since.*another --out"):
+        refuse_foreign(out, NAMES, report="result.json")
+    if changed not in NAMES:
+        with replacing(out) as folder:
+            write(folder, "new")
+        assert (out / changed).read_text() == "corrected by hand"
+
+
+def test_scores_of_somebody_else_are_kept(out):
+    (out / "evaluation.json").write_text('{"mine": 1}')
+    with replacing(out) as folder:
         write(folder, "new")
-    assert (out / "masks" / "b.png").read_text() == "old"
-    assert not (out / "evaluation.json").exists()
+    assert (out / "evaluation.json").read_text() == '{"mine": 1}'
 
 
 @pytest.mark.parametrize("error", [InputError, KeyboardInterrupt, ZeroDivisionError])
@@ -238,9 +267,10 @@ def test_created_folders_are_removed_if_the_run_fails(tmp_path, error):
 
 def test_results_of_tamper_do_not_remove_a_report(tmp_path):
     write(tmp_path, "mine", ("report.html", "evaluation.json"))
-    (tmp_path / "result.json").rename(tmp_path / "edit.json")
-    with replacing(tmp_path, report="edit.json", by_camera=("masks",)) as folder:
-        (folder / "edit.json").write_text("new")
+    (tmp_path / "result.json").unlink()
+    for _ in range(2):
+        with replacing(tmp_path, report="edit.json") as folder:
+            (folder / "edit.json").write_text('{"outputs": {}}')
     assert (tmp_path / "report.html").read_text() == "mine"
     assert (tmp_path / "evaluation.json").read_text() == "mine"
 

@@ -112,3 +112,24 @@ def test_a_picture_of_another_origin_is_kept(room, tmp_path):
     (tmp_path / "edit.json").write_text('{"outputs": []}')
     assert "overview.png: exists" in refused(*argv)
     assert (tmp_path / "overview.png").read_bytes() == b"mine"
+
+
+@pytest.mark.parametrize("name", ["edit.json", "masks/{}.png", "truth/{}.png", "labels.npy"])
+def test_files_of_others_are_kept_beside_an_edit(room, tmp_path, name):
+    """An edit without masks does not own the files that are put into masks/ later."""
+    argv = ["tamper", room / "scene.ply", "--cameras", room, "--out", tmp_path, "--views", 2]
+    if name.startswith("masks"):
+        assert run(*argv, "--masks", "none").code == 0
+    mine = tmp_path / name.format(load_cameras(room)[0].name)
+    mine.parent.mkdir(exist_ok=True)
+    mine.write_bytes(b"mine")
+    assert f"{mine}: exists" in refused(*argv)
+    assert mine.read_bytes() == b"mine"
+
+
+def test_an_edit_never_replaces_its_cameras(room, tmp_path):
+    cameras = tmp_path / "edit.json"
+    shutil.copy(room / "cameras.json", cameras)
+    argv = ["tamper", room / "scene.ply", "--cameras", cameras, "--out", tmp_path]
+    assert "overwrite this input" in refused(*argv)
+    assert load_cameras(cameras)

@@ -3,7 +3,7 @@
 import pytest
 from onnx_models import WEIGHTS, external_data, external_model, network
 
-from gsc_jax.detectors.fingerprint import external_files, fingerprint
+from gsc_jax.detectors.session import external_files, fingerprint
 
 
 @pytest.mark.parametrize("name", ["w", "sub/w.bin", "é.data", "n" * 127, "n" * 128, "n" * 240])

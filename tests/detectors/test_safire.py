@@ -198,7 +198,7 @@ def test_missing_files_are_named(tmp_path):
         SafireDetector(tmp_path)
     with pytest.raises(InputError, match="is not a folder"):
         SafireDetector(path)
-    with pytest.raises(InputError, match=r"other\.onnx: does not exist"):
+    with pytest.raises(InputError, match=r"other\.onnx: no such file"):
         SafireDetector(path, tmp_path / "other.onnx")
 
 

@@ -77,7 +77,7 @@ def test_linked_model_has_its_data_beside_the_link_or_its_target(tmp_path):
 @pytest.mark.parametrize(
     ("name", "content", "reason"),
     [
-        ("missing.onnx", None, "does not exist"),
+        ("missing.onnx", None, "no such file"),
         (".", None, "is a folder"),
         ("empty.onnx", b"", "cannot load"),
         ("text.onnx", b"text", "cannot load"),

@@ -2,13 +2,13 @@
 
 import pytest
 
-from gsc_jax.io import allocation
-from gsc_jax.io.allocation import GIB, check_allocation, memory_limit
+from gsc_jax.io import files
+from gsc_jax.io.files import GIB, check_allocation, memory_limit
 from gsc_jax.scene import InputError
 
 
 def test_the_bound_is_half_of_the_machine_or_of_the_container(tmp_path, monkeypatch):
-    monkeypatch.setattr(allocation, "CGROUP_LIMIT", tmp_path / "memory.max")
+    monkeypatch.setattr(files, "CGROUP_LIMIT", tmp_path / "memory.max")
     machine = 2 * memory_limit()
     assert 0.1 * GIB < machine < 2**50
     (tmp_path / "memory.max").write_text("max\n")

@@ -29,7 +29,7 @@ def test_values_are_read_with_and_without_a_byte_order_mark(tmp_path):
         ("a.toml", b"a = " + NESTED.encode(), "not valid TOML"),
         ("a.toml", b"a = 0x" + b"f" * 5000, "64 bits"),
         ("a.toml", b".".join([b"a"] * 500) + b" = 1", "levels deep"),
-        ("missing.json", None, "not valid JSON"),
+        ("missing.json", None, "no such file"),
     ],
 )
 def test_damaged_files_are_refused_in_one_line(tmp_path, name, content, problem):

@@ -1,19 +1,146 @@
-"""The charts of the report: histogram of the scores, distributions of attributes.
+"""The charts of the report: histogram of the scores, distributions of attributes (GS-Checker).
 
-The two groups differ in shape as well as in colour: tampered is filled, authentic a dashed line.
+The two groups differ in shape as well as in colour: tampered is filled, authentic a dashed line. A
+chart is drawn twice by matplotlib as SVG, in the colours of a light and of a dark scheme, of which
+the page selects one. Colours C0 (tampered) and C1 (authentic) repeat those of report.css.
 """
 
+import base64
+import dataclasses
+import io
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
+import jax
 import numpy as np
 
-from gsc_jax.cli.report.attributes import Distribution, attribute_distributions
-from gsc_jax.cli.report.figure import Chart, chart
+from gsc_jax.io.ply import LUMA
 from gsc_jax.locate import Result
+from gsc_jax.render.spherical_harmonics import Y0
 from gsc_jax.scene import Gaussians
+from gsc_jax.scene.parallel import in_blocks
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+LIGHT = {"ink": "#1c1b1a", "muted": "#5c5954", "cycle": ["#b3004b", "#22588f"]}
+DARK = {"ink": "#ebe8e3", "muted": "#aba69e", "cycle": ["#ff7fae", "#85b8ee"]}
+STYLE = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "gsc_jax",  # reproducible ids
+    "font.size": 9,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+}
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Chart:
+    """A chart: heading, sentences, and its image for each scheme as a data URI."""
+
+    title: str
+    text: str
+    light: str
+    dark: str
+
+
+def chart(
+    plot: "Callable[[Axes], object]", *, title: str, text: str, size: tuple[float, float]
+) -> Chart:
+    """Draw a chart in both colour schemes; `size` is in inches, with text of 9 points."""
+    light, dark = (_data_uri(plot, scheme, size) for scheme in (LIGHT, DARK))
+    return Chart(title=title, text=text, light=light, dark=dark)
+
+
+def _data_uri(plot: "Callable[[Axes], object]", scheme: dict, size: tuple[float, float]) -> str:
+    import matplotlib
+    from matplotlib.figure import Figure
+
+    file = io.BytesIO()
+    with matplotlib.rc_context(_style(**scheme)):
+        figure = Figure(figsize=size, layout="constrained")
+        plot(figure.subplots())
+        figure.savefig(file, format="svg", transparent=True, metadata={"Date": None})
+    return f"data:image/svg+xml;base64,{base64.b64encode(file.getvalue()).decode()}"
+
+
+def _style(ink: str, muted: str, cycle: list[str]) -> dict:
+    from cycler import cycler
+
+    text = ("text.color", "axes.labelcolor", "xtick.labelcolor", "ytick.labelcolor")
+    lines = ("axes.edgecolor", "xtick.color", "ytick.color")
+    style = STYLE | dict.fromkeys(text, ink) | dict.fromkeys(lines, muted)
+    return style | {"axes.prop_cycle": cycler(color=cycle)}
+
+
+MIN_LOG_SCALE = -30.0
+"""Floor of log scales: flat Gaussians are stored with scales down to exp(-100)."""
+MAX_SAMPLE = 2**19
+"""More Gaussians would change no chart visibly, and take memory."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Distribution:
+    """Values of one attribute of tampered (A,) and of authentic Gaussians (B,)."""
+
+    title: str
+    unit: str
+    tampered: np.ndarray
+    authentic: np.ndarray
+
+    def shares(self, bins: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Share of each group per bin, and the edges of the bins.
+
+        The bins span the 0.5% to 99.5% quantiles of both groups; the outermost include the rest.
+        """
+        groups = (self.tampered, self.authentic)
+        quantiles = np.concatenate([np.quantile(group, [0.005, 0.995]) for group in groups])
+        low, high = float(quantiles.min()), float(quantiles.max())
+        margin = max(high - low, 1e-6 * max(abs(low), 1.0)) / bins
+        edges = np.linspace(low - margin, high + margin, bins + 1)
+        tampered, authentic = (
+            np.histogram(np.clip(group, edges[0], edges[-1]), edges)[0] / len(group)
+            for group in groups
+        )
+        return tampered, authentic, edges
+
+
+def attribute_distributions(
+    gaussians: Gaussians, labels: np.ndarray, seen: np.ndarray
+) -> list[Distribution]:
+    """Distributions of attributes of the visible Gaussians by label; none if a group is empty.
+
+    Of large scenes, at most `MAX_SAMPLE` Gaussians at even distances in the file are used.
+    """
+    sample = slice(None, None, -(-len(labels) // MAX_SAMPLE) or None)
+    gaussians = jax.tree.map(np.asarray, gaussians).take(sample)
+    labels, seen = labels[sample], seen[sample]
+    tampered, authentic = seen & labels, seen & ~labels
+    if not (tampered.any() and authentic.any()):
+        return []
+    return [
+        Distribution(title=title, unit=unit, tampered=values[tampered], authentic=values[authentic])
+        for title, unit, values in _attributes(gaussians)
+    ]
+
+
+def _attributes(gaussians: Gaussians) -> Iterator[tuple[str, str, np.ndarray]]:
+    """Title, unit and values (N,) of each attribute."""
+    log_scales = np.maximum(np.asarray(gaussians.log_scales, np.float64), MIN_LOG_SCALE)
+    decades = log_scales / np.log(10)
+    sh = np.asarray(gaussians.sh)
+    rgb = 0.5 + Y0 * sh[:, 0].astype(np.float64)
+    cos_half_angle = np.abs(np.asarray(gaussians.rotations)[:, 0]).clip(0, 1)
+    yield "Opacity", "from 0 to 1", np.asarray(gaussians.opacities)
+    yield "Size", "log10 of the mean scale, scene units", decades.mean(axis=1)
+    yield "Anisotropy", "log10 of longest to shortest axis", np.ptp(decades, axis=1)
+    yield "Rotation", "angle in degrees", np.degrees(2 * np.arccos(cos_half_angle))
+    yield "Luminance", "of the base colour", rgb @ LUMA
+    yield "Saturation", "of the base colour, max minus min", np.ptp(rgb, axis=1)
+    if sh.shape[1] > 1:
+        rms = np.sqrt(in_blocks(lambda rest: np.asarray(np.mean(rest**2, axis=(1, 2))), sh[:, 1:]))
+        yield "View dependence", "log10 RMS of the harmonics", np.log10(rms + 1e-6)
+
 
 SCORE_BINS = 50
 """Bins of width 0.02, so that the thresholds of all methods (0.1 and 0.5) lie between two bins."""

@@ -14,10 +14,10 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from gsc_jax.cli.located import Located
 from gsc_jax.cli.report import wording
 from gsc_jax.cli.report.charts import attribute_charts, score_histogram
 from gsc_jax.cli.report.thumbnails import LAYERS, Thumbnail, thumbnails
+from gsc_jax.cli.report.wording import Located
 from gsc_jax.cli.staging import OUTPUTS
 from gsc_jax.evidence.monitor import Monitor
 

@@ -1,12 +1,38 @@
-"""Sentences about results, shared by the command line, the report and the viewer."""
+"""A finished run of `locate`, and sentences about results.
 
+The command line, the report and the viewer share them.
+"""
+
+import dataclasses
 from collections import Counter
 from pathlib import Path
 
-from gsc_jax.cli.located import Located
 from gsc_jax.estimators.protocol import Reliability
 from gsc_jax.forensics.traces import Trace
+from gsc_jax.io.ply import PlyScene
 from gsc_jax.locate import Result
+from gsc_jax.scene import Camera
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Located:
+    """A finished run of `locate`; the masks of the result are files in the folder by now.
+
+    Attributes:
+        cameras: The views that have a mask in the result.
+        stages: Seconds and peak memory in MiB of each stage, reading and writing included.
+        seconds: Wall time, reading and writing included.
+        visible_share: Tampered share of a view, averaged over the views.
+    """
+
+    scene: PlyScene
+    cameras: list[Camera]
+    result: Result
+    stages: dict[str, dict[str, float]]
+    seconds: float
+    warnings: list[str]
+    visible_share: float
+
 
 RELIABILITY: dict[Reliability, tuple[str, str, str]] = {
     "reliable": ("●", "reliable", "The view shows the edit, and the mask flags most of it."),

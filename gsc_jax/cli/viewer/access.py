@@ -65,8 +65,7 @@ class Access:
 def guarded(access: Access) -> Iterator[None]:
     """Check every request to a server of viser that is created inside the block.
 
-    Raises:
-        RuntimeError: if the server was not started as expected, and is open to everybody.
+    RuntimeError if the server was not started as expected, and is open to everybody.
     """
     from unittest import mock
 

@@ -6,9 +6,65 @@ import numpy as np
 
 from gsc_jax.cli.report.wording import headline, labels_sentence, percent, share
 from gsc_jax.cli.results import Results
-from gsc_jax.cli.viewer.poses import Pose, pose
 from gsc_jax.cli.viewer.splats import Splats, heat, largest, splats
 from gsc_jax.render.orbit import mean_up
+from gsc_jax.render.projection import NEAR
+from gsc_jax.scene import Array, Camera
+
+MIN_LEVEL = 0.2
+"""Sine of the angle between view and vertical below which the up of the image is used instead."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Pose:
+    """A camera in OpenCV axes.
+
+    Attributes:
+        name: Name of the camera.
+        wxyz: Rotation from camera to world as a unit quaternion, shape (4,).
+        position: World units, shape (3,).
+        look_at: Point in the middle of the image at the median depth, shape (3,).
+        up: Unit up direction of the image, level with the scene if possible, shape (3,).
+        fov: Vertical field of view in radians.
+        aspect: Width over height.
+    """
+
+    name: str
+    wxyz: np.ndarray
+    position: np.ndarray
+    look_at: np.ndarray
+    up: np.ndarray
+    fov: float
+    aspect: float
+
+
+def pose(camera: Camera, means: Array, *, up: Array, near: float = NEAR) -> Pose:
+    """Convert a camera; its principal point is taken to be the middle of the image.
+
+    The depth of what it looks at comes from the `means` of some or all Gaussians, (N, 3), beyond
+    the near plane; `up` is the unit up direction of the scene.
+    """
+    from scipy.spatial.transform import Rotation
+
+    rotation, K = np.asarray(camera.viewmat, np.float64)[:3, :3], np.asarray(camera.K, np.float64)
+    right, down, forward = rotation
+    position = np.asarray(camera.center, np.float64)
+    half_width, half_height = camera.width / (2 * K[0, 0]), camera.height / (2 * K[1, 1])
+    x, y, z = rotation @ (np.asarray(means, np.float64) - position).T
+    visible = (z > near) & (abs(x) < half_width * z) & (abs(y) < half_height * z)
+    depth = float(np.median(z[visible])) if visible.any() else 1.0
+    level = np.asarray(up, np.float64) - (up @ right) * right
+    is_level = level @ -down > MIN_LEVEL
+    return Pose(
+        name=camera.name,
+        wxyz=Rotation.from_matrix(rotation.T).as_quat(scalar_first=True),
+        position=position,
+        look_at=position + depth * forward,
+        up=level / np.linalg.norm(level) if is_level else -down,
+        fov=2 * float(np.arctan(half_height)),
+        aspect=half_width / half_height,
+    )
+
 
 MAX_DEPTH_SAMPLES = 20_000
 """Gaussians from which the depth of each view is estimated; more do not change a median."""
@@ -19,18 +75,16 @@ LEGEND_COLOURS = 9
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Contents:
-    """What a viewer shows.
+    """What a viewer shows: N splats, the cameras of the run, of which it starts at the first.
 
     Attributes:
         title: Name of the folder of results.
         sentences: What the run found.
-        splats: N splats in the colours of the scene.
         score: Scores, shape (N,) float32.
         threshold: Score above which the run labelled a Gaussian as tampered.
-        poses: Cameras of the run, at least one; the viewer starts at the first.
         up: Unit up direction, shape (3,).
         near: Near plane in world units.
-        far: Far plane in world units.
+        far: Far plane: twice the diagonal of the box around all splats, cameras and their targets.
         frustum: Size of a drawn camera in world units.
     """
 
@@ -56,6 +110,8 @@ def viewer_contents(results: Results, *, most: int) -> tuple[Contents, list[str]
     up = mean_up(results.cameras)
     poses = [pose(camera, sample, up=up, near=near) for camera in results.cameras]
     distances = [np.linalg.norm(place.look_at - place.position) for place in poses]
+    places = [place for pose in poses for place in (pose.position, pose.look_at)]
+    diagonal = np.linalg.norm(np.ptp(np.concatenate([chosen.centers, places]), axis=0))
     contents = Contents(
         title=results.folder.resolve().name,
         sentences=_sentences(results),
@@ -65,7 +121,7 @@ def viewer_contents(results: Results, *, most: int) -> tuple[Contents, list[str]
         poses=poses,
         up=up,
         near=near,
-        far=_far(chosen.centers, poses),
+        far=2 * float(diagonal),
         frustum=FRUSTUM_SCALE * float(np.median(distances)),
     )
     return contents, _omission(results, rows)
@@ -106,12 +162,6 @@ def _sentences(results: Results) -> list[str]:
         headline(verdict, tampered),
         f"{labels} The scene probability of an edit is {percent(verdict)}.",
     ]
-
-
-def _far(points: np.ndarray, poses: list[Pose]) -> float:
-    """Twice the diagonal of the box around all points, cameras and their targets."""
-    places = [place for pose in poses for place in (pose.position, pose.look_at)]
-    return 2 * float(np.linalg.norm(np.ptp(np.concatenate([points, places]), axis=0)))
 
 
 def _omission(results: Results, rows: np.ndarray) -> list[str]:

@@ -1,24 +1,31 @@
-"""`gsc-jax view`: results of `locate` in 3D in a browser, drawn by viser."""
+"""`gsc-jax view`: results of `locate` in 3D in a browser, drawn by viser, served or as a page.
+
+The written page holds viser's standalone client in a frame, under a bar that selects the camera.
+viser reads the first view from the address of its page (`?initialCameraPosition=...`). The page
+therefore loads itself into the frame with such an address, and there replaces itself by the client.
+The frame is sandboxed, since browsers refuse the client's workers in pages opened from a file.
+"""
 
 import contextlib
 import socket
 import threading
 import webbrowser
 from collections.abc import Callable, Iterator
+from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING
+from urllib.parse import urlencode
+
+import numpy as np
 
 from gsc_jax.cli.options import View
-from gsc_jax.cli.results import Results, read_results
-from gsc_jax.cli.staging import refuse_foreign_file
+from gsc_jax.cli.ownership import refuse_foreign_file
+from gsc_jax.cli.results import read_results
 from gsc_jax.cli.viewer.access import Access, guarded
-from gsc_jax.cli.viewer.contents import Contents, viewer_contents
-from gsc_jax.cli.viewer.controls import add_viewer
-from gsc_jax.cli.viewer.page import viewer_page
-from gsc_jax.cli.viewer.scene import add_cameras, add_layers
+from gsc_jax.cli.viewer.contents import Contents, Pose, legend, viewer_contents
+from gsc_jax.cli.viewer.controls import add_cameras, add_layers, add_viewer
 from gsc_jax.evidence.monitor import Monitor
-from gsc_jax.io.allocation import memory_limit
-from gsc_jax.io.files import atomic
+from gsc_jax.io.files import atomic, memory_limit
 from gsc_jax.scene import InputError
 
 if TYPE_CHECKING:
@@ -37,16 +44,10 @@ def run_view(
     say: Callable[[str], None] = print,
     wait: Callable[[], object] | None = None,
 ) -> tuple[list[str], list[str]]:
-    """Show results in 3D: serve a page until interrupted, or write one.
+    """Show results in 3D: serve a page until interrupted, or write one; lines, and warnings.
 
-    Args:
-        options: Options of the command line.
-        monitor: Receives the progress.
-        say: Prints a line while the command runs: addresses and notes.
-        wait: Blocks while the page is served and ends with KeyboardInterrupt; by default forever.
-
-    Returns:
-        Lines of the summary, and warnings.
+    `say` prints a line while the command runs: addresses and notes. `wait` blocks while the page is
+    served and ends with KeyboardInterrupt; by default forever.
 
     Raises:
         InputError: if the results cannot be read, viser is missing, the page cannot be written, or
@@ -56,7 +57,9 @@ def run_view(
     monitor = monitor or Monitor()
     monitor.progress("load", 0, 1)
     # The results are not kept in a variable: they are large, and serving lasts.
-    contents, notes = viewer_contents(_results(options), most=options.most)
+    contents, notes = viewer_contents(
+        read_results(options.folder, max_bytes=memory_limit(options.memory)), most=options.most
+    )
     monitor.progress("load", 1, 1)
     if options.html is not None:
         return [write_page(options.html, contents)], notes
@@ -71,10 +74,6 @@ def run_view(
         with contextlib.suppress(KeyboardInterrupt):
             (wait or threading.Event().wait)()
     return ["the server has ended"], []
-
-
-def _results(options: View) -> Results:
-    return read_results(options.folder, max_bytes=memory_limit(options.memory))
 
 
 def write_page(path: Path, contents: Contents) -> str:
@@ -143,3 +142,22 @@ def _address_line(options: View, port: int, token: str) -> str:
 def _url(host: str, port: int, token: str) -> str:
     name = "localhost" if host in ALL_ADDRESSES else f"[{host}]" if ":" in host else host
     return f"http://{name}:{port}/{token}/"
+
+
+def viewer_page(client: str, contents: Contents) -> str:
+    """Render a page without server and network; `client` is viser's page, with the scene inside."""
+    from jinja2 import Environment
+
+    template = files("gsc_jax.cli.viewer").joinpath("viewer.html").read_text(encoding="utf-8")
+    views = [(pose.name, _address(pose, contents)) for pose in contents.poses]
+    page = Environment(autoescape=True).from_string(template)
+    return page.render(contents=contents, views=views, legend=legend(), client=client)
+
+
+def _address(pose: Pose, contents: Contents) -> str:
+    """Query string with which viser starts at a camera."""
+    vectors = {"Position": pose.position, "LookAt": pose.look_at, "Up": pose.up}
+    scalars = {"Fov": pose.fov, "Near": contents.near, "Far": contents.far}
+    values = {key: ",".join(map(str, np.asarray(value).tolist())) for key, value in vectors.items()}
+    values |= {key: str(float(value)) for key, value in scalars.items()}
+    return urlencode({f"initialCamera{key}": value for key, value in values.items()}, safe=",")

@@ -55,12 +55,9 @@ def splats(gaussians: Gaussians) -> Splats:
 
 
 def largest(gaussians: Gaussians, count: int, *, first: np.ndarray) -> np.ndarray:
-    """Rows of the Gaussians of largest opacity times area, ascending, shape (min(N, count),).
+    """Rows of the `count` Gaussians of largest opacity times area, ascending, at most all.
 
-    Args:
-        gaussians: N Gaussians.
-        count: Maximum number of rows.
-        first: Gaussians that precede all others unless they are invisible, shape (N,) bool.
+    Those of `first`, (N,) bool, precede all others unless they are invisible.
     """
     if count >= len(gaussians):
         return np.arange(len(gaussians))
@@ -84,11 +81,7 @@ def layer_colours(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Colours (N, 3) and opacities (N, 1) of a layer; hidden splats have opacity 0.
 
-    Args:
-        splats: N splats in the colours of the scene.
-        score: Scores, shape (N,).
-        layer: The layer.
-        threshold: Score above which a Gaussian is tampered.
+    `score` has shape (N,); a Gaussian is tampered if its score exceeds the threshold.
     """
     if layer == "original":
         return splats.rgbs, splats.opacities

@@ -59,16 +59,11 @@ class Roles:
 
 
 def scene_probability(rate: float, views: float) -> float:
-    """Probability that a scene was edited, from how consistently its tampered class is flagged.
+    """Probability in (0, 1) that a scene was edited, from how consistently a class is flagged.
 
-    An authentic region may be flagged as well, but in fewer of the views that see it.
-
-    Args:
-        rate: Share of the views that flag the tampered class, of those that see it.
-        views: Number of views that see it.
-
-    Returns:
-        In (0, 1); one half at a rate of 0.55, and close to it for few views.
+    `rate` is the share of views that flag the tampered class, of the `views` that see it. The
+    probability is one half at a rate of 0.55, and close to it for few views: an authentic region
+    may be flagged as well, but in fewer of the views that see it.
     """
     rate = (rate * views + EVEN_RATE * PSEUDO_VIEWS) / (views + PSEUDO_VIEWS)
     return float(expit(LOG_ODDS_PER_RATE * (rate - EVEN_RATE)))
@@ -77,16 +72,11 @@ def scene_probability(rate: float, views: float) -> float:
 def assign_roles(
     rates: np.ndarray, weights: np.ndarray, *, inversion: bool = True, distractors: bool = True
 ) -> Roles | None:
-    """Assign a role to each class.
+    """Assign a role to each class; None if all visible weight belongs to one class.
 
-    Args:
-        rates: Flag rates by class and view, shape (K, V).
-        weights: Weight of a class that a view sees, shape (K, V).
-        inversion: Whether masks may be inverted.
-        distractors: Whether distractors and second edits may exist.
-
-    Returns:
-        The roles, or None if all visible weight belongs to one class.
+    `rates` are the flag rates by class and view, `weights` the weight of a class that a view sees,
+    both (K, V). The options tell whether masks may be inverted, and whether distractors and second
+    edits may exist.
     """
     mass = weights.sum(axis=1)
     best = weights.max(axis=1, keepdims=True)

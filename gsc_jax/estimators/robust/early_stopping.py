@@ -59,9 +59,6 @@ def observe_until_stable(
         estimator: Its `tolerance` is the change of labels below which no more views are added.
         prior: Probability per Gaussian from another source.
         monitor: Records the time of the estimates and the progress over views.
-
-    Returns:
-        The observation of the views used, the finding, and the reason to stop.
     """
     order, monitor = [cameras[k] for k in spread(len(cameras))], monitor or Monitor()
     changes, before = [], None

@@ -15,18 +15,11 @@ import dataclasses
 
 import numpy as np
 
-from gsc_jax.estimators.protocol import (
-    MAX_SEED,
-    Estimator,
-    Finding,
-    Prior,
-    check_fields,
-    unanimous,
-)
+from gsc_jax.estimators.protocol import MAX_SEED, Estimator, Finding, Prior, check_fields, unanimous
 from gsc_jax.estimators.robust import diagnostics
 from gsc_jax.estimators.robust.class_roles import Roles, assign_roles, scene_probability
 from gsc_jax.estimators.robust.gaussian_visibility import (
-    blocks,
+    BLOCK,
     stratified_sample,
     summed_visibility,
     visibility,
@@ -40,6 +33,7 @@ from gsc_jax.evidence.observation import Observation
 from gsc_jax.render.projection import NEAR
 from gsc_jax.scene import Array
 from gsc_jax.scene.errors import BELOW_1
+from gsc_jax.scene.parallel import blocks
 
 RANGES: dict[str, tuple[float, float]] = {
     "sample": (1, 10**9),
@@ -124,15 +118,8 @@ class RobustEstimator(Estimator):
     def estimate(self, observation: Observation, prior: Prior | None = None) -> Finding:
         """Compute scores, labels, the scene probability and the reliability of every mask.
 
-        Args:
-            observation: Evidence of V views of N Gaussians.
-            prior: Probability per Gaussian from another source; it may label unseen Gaussians.
-
-        Returns:
-            The finding; its attribute is the log odds of the probability.
-
-        Raises:
-            ValueError: if the prior has another number of Gaussians.
+        The attribute of the finding is the log odds of the probability. A prior may label Gaussians
+        that no view sees; one of another number of Gaussians raises ValueError.
         """
         return self.estimate_from_evidence(observation.evidence, observation.gaussians.means, prior)
 
@@ -171,13 +158,9 @@ class RobustEstimator(Estimator):
     ) -> "MaskEstimate":
         """Estimate the probability of each Gaussian from the masks alone.
 
-        Args:
-            evidence: Evidence of V views, shapes (V, N).
-            means: Positions, used only to find neighbours, shape (N, D).
-            flagged: Whether any mask covers anything; otherwise all probabilities are 0.
-
-        Returns:
-            The estimate; deterministic, and finite for any evidence.
+        The positions (N, D) only serve to find neighbours. If no mask covers anything, not
+        `flagged`, all probabilities are 0. The estimate is deterministic, and finite for any
+        evidence.
         """
         seen_sum, flagged_sum = summed_visibility(evidence, self.half_weight)
         seen = seen_sum > 0
@@ -194,12 +177,7 @@ class RobustEstimator(Estimator):
             return estimate
         logits = -self.class_log_odds * pattern_distance(evidence, roles, self.half_weight)
         class_probability = smooth(
-            logits,
-            roles.tampered,
-            means,
-            seen,
-            strength=self.smoothing,
-            neighbours=self.neighbours,
+            logits, roles.tampered, means, seen, strength=self.smoothing, neighbours=self.neighbours
         )
         # The best class of each kind: probabilities of similar distractors must not add up.
         kinds = roles.tampered, ~roles.tampered
@@ -250,20 +228,14 @@ class MaskEstimate:
 
 
 def pattern_distance(evidence: EvidenceOfViews, roles: Roles, half_weight: float) -> np.ndarray:
-    """Number of views, weighted by visibility, in which a Gaussian differs from a class pattern.
+    """Number of views, weighted by visibility, in which a Gaussian differs from each class pattern.
 
-    Args:
-        evidence: Evidence of V views, shapes (V, N).
-        roles: Patterns of C classes.
-        half_weight: Weight in pixels at which the visibility is one half.
-
-    Returns:
-        Between 0 and V, shape (N, C) float32.
+    Between 0 and V, shape (N, C) float32; the visibility is one half at `half_weight` pixels.
     """
     inverted = roles.inverted[:, None]
     patterns = roles.patterns.astype(np.float32)
     distance = np.empty((evidence.shape[1], len(patterns)), np.float32)
-    for block in blocks(len(distance)):
+    for block in blocks(len(distance), BLOCK):
         seen, flagged = visibility(evidence, block, half_weight)
         flagged = np.where(inverted, seen - flagged, flagged)
         distance[block] = (seen - 2 * flagged).T @ patterns.T + flagged.sum(axis=0)[:, None]

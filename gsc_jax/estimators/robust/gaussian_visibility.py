@@ -1,10 +1,9 @@
 """Visibility of Gaussians in views, from 0 to 1, the flagged part of it, and sampling by both."""
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from gsc_jax.evidence.lifting import EvidenceOfViews
+from gsc_jax.scene.parallel import blocks
 
 BLOCK = 2**15
 """Gaussians whose evidence is in memory at once, 26 MB for 100 views."""
@@ -13,15 +12,10 @@ BLOCK = 2**15
 def visibility(
     evidence: EvidenceOfViews, rows: np.ndarray | slice, half_weight: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Visibility of some Gaussians in each view, and the flagged part of it.
+    """Visibility of M of the Gaussians in each view, and the flagged part of it, shapes (V, M).
 
-    Args:
-        evidence: Evidence of V views, shapes (V, N).
-        rows: M of the N Gaussians.
-        half_weight: Weight in pixels at which the visibility is one half.
-
-    Returns:
-        total / (total + half_weight) and tampered / (total + half_weight), shapes (V, M).
+    total / (total + half_weight) and tampered / (total + half_weight), with `half_weight` in
+    pixels.
     """
     total, tampered = evidence.of(rows)
     scale = 1.0 / (total + np.float32(half_weight))
@@ -34,32 +28,20 @@ def summed_visibility(
     """`visibility` of all Gaussians summed over the views, shapes (N,)."""
     sums = [
         [part.sum(axis=0) for part in visibility(evidence, block, half_weight)]
-        for block in blocks(evidence.shape[1])
+        for block in blocks(evidence.shape[1], BLOCK)
     ]
     seen, flagged = (np.concatenate(parts) for parts in zip(*sums, strict=True))
     return seen, flagged
 
 
-def blocks(count: int) -> Iterator[slice]:
-    """Slices of at most `BLOCK` rows that cover `count` rows."""
-    return (slice(start, start + BLOCK) for start in range(0, count, BLOCK))
-
-
 def stratified_sample(
     seen: np.ndarray, flagged: np.ndarray, size: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Sample Gaussians, half of them in proportion to how much of them is flagged.
+    """Sample at most `size` Gaussians, half of them in proportion to how much of them is flagged.
 
-    The sample is systematic along the Gaussians ordered by the flagged share, so that it depends
-    neither on a seed nor on the order of the file.
-
-    Args:
-        seen: Visibility summed over the views, shape (N,).
-        flagged: Flagged part of it, shape (N,).
-        size: Number of Gaussians to sample, at most.
-
-    Returns:
-        Indices, shape (S,), and the number of Gaussians that each represents, shape (S,).
+    Given the visibility summed over the views and the flagged part of it, both (N,). The sample is
+    systematic along the Gaussians ordered by the flagged share, so that it depends neither on a
+    seed nor on the order of the file. Returns rows (S,), and how many Gaussians each represents.
     """
     size = min(size, int(np.count_nonzero(seen)))
     share = flagged / np.maximum(seen, 1e-30)

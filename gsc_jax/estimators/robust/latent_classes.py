@@ -109,10 +109,7 @@ def _fit_one(flagged: Array, clear: Array, used: Array, key: Array) -> tuple[Cla
         classes = _maximise(jnp.exp(joint - total[None]), flagged, clear, used)
         return classes, jnp.mean(total), likelihood, iteration + 1
 
-    start = Classes(
-        rates=_start_rates(flagged, clear, len(used), key),
-        shares=used / jnp.sum(used),
-    )
+    start = Classes(rates=_start_rates(flagged, clear, len(used), key), shares=used / jnp.sum(used))
     first = (start, jnp.float32(-1e30), jnp.float32(-jnp.inf), jnp.int32(0))
     classes, likelihood, _, iterations = jax.lax.while_loop(improves, step, first)
     views = jnp.sum(jnp.any(flagged + clear > 0, axis=1), dtype=jnp.float32)

@@ -10,9 +10,7 @@ import numpy as np
 import pytest
 from reports import COUNT, TAMPERED, run
 
-from gsc_jax.cli.report.attributes import attribute_distributions
-from gsc_jax.cli.report.charts import score_histogram
-from gsc_jax.cli.report.figure import DARK, LIGHT, chart
+from gsc_jax.cli.report.charts import DARK, LIGHT, attribute_distributions, chart, score_histogram
 
 CSS = Path(__file__).parents[3] / "gsc_jax" / "cli" / "report" / "report.css"
 

@@ -19,9 +19,8 @@ from selenium.webdriver.support.ui import WebDriverWait
 
 from gsc_jax.cli.results import read_results
 from gsc_jax.cli.viewer.access import Access
-from gsc_jax.cli.viewer.contents import Contents, viewer_contents
+from gsc_jax.cli.viewer.contents import Contents, Pose, viewer_contents
 from gsc_jax.cli.viewer.controls import add_viewer
-from gsc_jax.cli.viewer.poses import Pose
 from gsc_jax.cli.viewer.server import serving, write_page
 from gsc_jax.render.orbit import look_at
 from gsc_jax.scene import Camera, Gaussians

@@ -11,7 +11,7 @@ from gsc_jax.cli.report.wording import headline
 from gsc_jax.cli.results import Results, read_results
 from gsc_jax.cli.viewer import contents as module
 from gsc_jax.cli.viewer.contents import count_sentence, viewer_contents
-from gsc_jax.cli.viewer.page import viewer_page
+from gsc_jax.cli.viewer.server import viewer_page
 
 ALL = 10**6
 

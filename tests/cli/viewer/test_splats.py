@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from strategies import blobs, camera, motions, random_scene, scenes
 
-from gsc_jax.cli.viewer.poses import pose
+from gsc_jax.cli.viewer.contents import pose
 from gsc_jax.cli.viewer.splats import (
     fit_half_precision,
     half_precision_unit,

@@ -6,6 +6,7 @@ stdout; progress and, at the end, warnings go to stderr.
 """
 
 import argparse
+import contextlib
 import dataclasses
 import errno
 import functools
@@ -119,14 +120,30 @@ def _parse(argv: Sequence[str], default: Locate | None = None) -> Any:
         if brief:
             settings["description"] = (kind.__doc__ or "").partition("\n")[0]
         kinds.append(Annotated[kind, tyro.conf.subcommand(name=name, **settings)])
-    return tyro.cli(
-        functools.reduce(operator.or_, kinds),
-        prog="gsc-jax",
-        description=DESCRIPTION,
-        args=list(argv),
-        # A file may set a switch, which --no- then unsets.
-        config=() if default else (tyro.conf.FlagCreatePairsOff,),
-    )
+    with _escaped_stderr(argv):
+        return tyro.cli(
+            functools.reduce(operator.or_, kinds),
+            prog="gsc-jax",
+            description=DESCRIPTION,
+            args=list(argv),
+            # A file may set a switch, which --no- then unsets.
+            config=() if default else (tyro.conf.FlagCreatePairsOff,),
+        )
+
+
+@contextlib.contextmanager
+def _escaped_stderr(argv: Sequence[str]) -> Iterator[None]:
+    """Escape control characters in messages of tyro, which repeat the arguments."""
+    if all(printable(word) == word for word in argv):  # keep the colours
+        yield
+        return
+    messages = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(messages):
+            yield
+    finally:
+        for line in messages.getvalue().splitlines():
+            print(printable(line), file=sys.stderr)
 
 
 def _run(command: Command) -> None:

@@ -3,7 +3,7 @@
 Poses are camera-to-world with OpenGL axes (x right, y up, z backward), so columns 1 and 2 change
 their sign. Intrinsics are stored once for all frames or per frame; those of the frame take
 precedence. A focal length is `fl_x` or follows from `camera_angle_x`; without `w` and `h`, the size
-is read from the image file.
+is read from the image file if that lies in the folder of the transforms.json.
 """
 
 import functools
@@ -63,7 +63,7 @@ def read_transforms(data: Mapping[str, Any], path: Path) -> list[Camera]:
 def _camera(item: Any, *, folder: Path) -> Camera:
     frame = _Frame.model_validate(item)
     _check_undistorted(item)
-    size = (frame.w, frame.h) if frame.w and frame.h else _image_size(folder / frame.file_path)
+    size = (frame.w, frame.h) if frame.w and frame.h else _image_size(folder, frame.file_path)
     x = _focal(frame.fl_x, frame.camera_angle_x, size[0])
     y = _focal(frame.fl_y, frame.camera_angle_y, size[1])
     if not (x or y):
@@ -89,12 +89,18 @@ def _check_undistorted(item: Mapping[str, Any]) -> None:
         )
 
 
-def _image_size(stem: Path) -> tuple[int, int]:
-    """Width and height in pixels of an image; its suffix may be missing."""
-    problem = ValueError(f"lacks 'w' and 'h', and {shown(str(stem))} is not an image; add them")
+def _image_size(folder: Path, name: str) -> tuple[int, int]:
+    """Width and height in pixels of an image inside a folder; its suffix may be missing.
+
+    Images elsewhere are not opened: the file with the cameras may come from a stranger.
+    """
+    stem = folder / name
+    problem = ValueError(
+        f"lacks 'w' and 'h', and {shown(str(stem))} is not an image inside {folder}; add them"
+    )
     try:
         for path in (Path(f"{stem}{suffix}") for suffix in IMAGE_SUFFIXES):
-            if path.is_file():
+            if path.resolve().is_relative_to(folder.resolve()) and path.is_file():
                 with open_image(path) as image:
                     return image.size
     except Exception as error:  # the decoders have no common base class for damaged files

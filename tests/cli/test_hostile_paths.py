@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_case import FIXTURES, NAMES, contents, given, refused, run
+from cli_case import FIXTURES, NAMES, contents, given, refused, run, unparsable
 from results_folder import write_results
 
 from gsc_jax.cli import main as cli
@@ -158,6 +158,12 @@ class TestEscapeSequences:
             message = refused("locate", "--config", tmp_path / "run.json", "--out", tmp_path / "o")
             assert message.rstrip("\n").isprintable()
             assert "\x1b]" not in refused("locate", "--config", tmp_path / "run.json", "--help")
+
+    @pytest.mark.parametrize("words", [("x", f"a\n{ESCAPE}"), ("x", "--out", "o", f"--{ESCAPE}")])
+    def test_in_messages_about_the_options(self, words):
+        message = unparsable("locate", *words)
+        assert "\\x1b" in message
+        assert message.replace("\n", "").isprintable()
 
     def test_in_results_and_warnings(self, case, tmp_path):
         scene = tmp_path / f"{ESCAPE}.ply"

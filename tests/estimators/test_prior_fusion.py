@@ -71,9 +71,20 @@ def test_unseen_gaussians_follow_the_prior_and_unknown_ones_the_masks():
     masks, own = np.array([0, 1, 1], np.float32), np.array([1, 0, 0], np.float32)
     seen, known = np.array([False, True, True]), np.array([True, True, False])
     fused, _ = fuse(masks, 0.8, seen, prior(own, 0.75, known))
-    np.testing.assert_allclose(fused, [0.75, 1 - 0.2 * 0.75, 1], rtol=1e-6)
+    np.testing.assert_allclose(fused, [0.75, 1, 1], rtol=1e-6)
+    few_agree, _ = fuse(masks, 0.1, seen, prior(own, 0.75, known))
+    np.testing.assert_allclose(few_agree, [0.75, 1 - 0.9 * 0.75, 1], rtol=1e-6)
     exact = dataclasses.replace(prior(own, 0.75, known), exact=True)
     np.testing.assert_allclose(fuse(masks, 0.8, seen, exact)[0][1], 1 - 0.6 * 0.75, rtol=1e-6)
+
+
+@given(OPINIONS, OPINIONS, st.floats(0.15, 1), UNIT, hnp.arrays(bool, 5))
+@example(np.eye(5, dtype=np.float32)[0], 1 - np.eye(5, dtype=np.float32)[0], 0.15, 1.0, ALL)
+def test_what_the_masks_label_is_kept_where_views_see_it(masks, own, shown, verdict, seen):
+    """A prior that is sure and wrong costs nothing, unless it is exact."""
+    assume(((masks > 0.5) & seen).any())
+    fused, _ = fuse(masks, shown, seen, prior(own, verdict))
+    np.testing.assert_array_equal((fused > 0.5)[seen], (masks > 0.5)[seen])
 
 
 @given(UNIT, UNIT, UNIT)

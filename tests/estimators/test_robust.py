@@ -256,7 +256,8 @@ def true_prior(verdict: float, *, exact: bool = False) -> Prior:
     [
         (4, 0.9999, False, False),
         (4, 0.3, False, True),
-        (6, 0.95, False, False),
+        (6, 0.9999, False, True),
+        (6, 0.95, True, False),
         (11, 0.9999, False, True),
         (11, 0.9999, True, False),
         (11, 0.9, True, True),

@@ -16,12 +16,15 @@ SCRIPTS = (
     "backbones",
     "editing",
     "enough",
+    "fusion",
     "native",
     "parsimony",
     "robustness",
     "speed_accuracy",
     "stability",
+    "unseen",
 )
+WITHOUT_CHART = ("fusion", "unseen")
 
 
 @pytest.mark.slow
@@ -36,5 +39,5 @@ def test_every_script_runs_in_quick_mode(name, tmp_path):
     script.main(takes.annotation(quick=True, reprint=True, out=tmp_path))
     assert (tmp_path / "results.md").read_text() == page, "reprinting changed the page"
     assert f"<!-- {name} -->" in page
-    assert (tmp_path / f"{name}.png").stat().st_size > 5_000
+    assert name in WITHOUT_CHART or (tmp_path / f"{name}.png").stat().st_size > 5_000
     assert len(read_csv(tmp_path / f"{name}.csv"))

@@ -6,6 +6,7 @@ from camera_files import assert_same, opengl_frame, opengl_intrinsics, random_ca
 from PIL import Image
 
 from gsc_jax.io.cameras import load_cameras
+from gsc_jax.io.masks import write_image
 from gsc_jax.scene import InputError
 
 SIZE, MIRROR = {"w": 2, "h": 2}, np.diag([-1, 1, 1, 1]).tolist()
@@ -82,3 +83,19 @@ def test_paths_that_cannot_be_images_are_refused(tmp_path, name):
     with pytest.raises(InputError, match="lacks 'w' and 'h'") as error:
         load_cameras(path)
     assert str(error.value).startswith(f"{path}: frame 0")
+
+
+def test_images_outside_of_the_folder_are_not_opened(tmp_path):
+    inside, outside = tmp_path / "cameras" / "images", tmp_path / "elsewhere"
+    for folder in (inside, outside):
+        write_image(folder / "a.png", np.zeros((6, 8, 3)))
+    (inside / "link.png").symlink_to(outside / "a.png")
+    names = {"images/a": True, "../elsewhere/a": False, str(outside / "a"): False}
+    for name, opened in {**names, "images/link.png": False}.items():
+        frame = {"file_path": name, "transform_matrix": np.eye(4).tolist()}
+        path = write_json(inside.parent / "transforms.json", {"fl_x": 9.0, "frames": [frame]})
+        if opened:
+            assert (load_cameras(path)[0].width, load_cameras(path)[0].height) == (8, 6)
+        else:
+            with pytest.raises(InputError, match="not an image inside"):
+                load_cameras(path)

@@ -19,6 +19,8 @@ from scipy.special import expit
 
 FULL_VIEW = 0.2
 """A view has full weight for a class if it sees at least this share of what the best view sees."""
+CLEAR_VIEW = 0.5
+"""The same for second edits: where an edit is hardly visible, what covers it decides its rate."""
 LEAST_VIEW = 0.2
 """Visibility in [0, 1] above which the rate of a class in a view is used as its pattern."""
 RATE_DIFFERENCE = 0.6
@@ -79,8 +81,8 @@ def assign_roles(
     edits may exist.
     """
     mass = weights.sum(axis=1)
-    best = weights.max(axis=1, keepdims=True)
-    seen = np.minimum(1.0, weights / np.maximum(FULL_VIEW * best, 1e-30))
+    shown_best = weights / np.maximum(weights.max(axis=1, keepdims=True), 1e-30)
+    seen, clear = (np.minimum(1.0, shown_best / share) for share in (FULL_VIEW, CLEAR_VIEW))
     heaviest = _RateTable(rates=rates, seen=seen).heaviest(mass)
     authentic = _largest(mass, heaviest)
     shown, flagged = (x[heaviest].sum(axis=0) for x in (weights, weights * rates))
@@ -95,7 +97,8 @@ def assign_roles(
     distinct = others & distractors & (table.sharpness >= MIN_SHARPNESS)
     distinct &= table.separating_views(first) >= SAME_PATTERN_VIEWS
     distinct &= table.separating_views(authentic) >= 0.5
-    often = frequency > SECOND_EDIT * frequency[first]
+    clearly_flagged = dataclasses.replace(table, seen=clear).flag_frequency
+    often = clearly_flagged > SECOND_EDIT * clearly_flagged[first]
     second, distractor = np.flatnonzero(distinct & often), np.flatnonzero(distinct & ~often)
     patterns = [
         *table.patterns([authentic], fallback=authentic),

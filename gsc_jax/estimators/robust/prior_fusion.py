@@ -1,7 +1,9 @@
-"""Fusion of two independent estimates for every Gaussian: from the masks, and from a prior.
+"""Fusion of two estimates for every Gaussian: from the masks, and from a prior.
 
 Both come with a probability that they show an edit at all: the masks by how many views agree, the
-prior by its own verdict on the scene.
+prior by its own verdict on the scene. A prior can be sure and wrong, and must not cost what the
+masks alone find. So it decides only what no view sees, and everything if hardly any views agree;
+only an exact prior can overrule masks.
 """
 
 import math
@@ -14,6 +16,9 @@ from gsc_jax.scene import Array
 
 PROBABILITY_FLOOR = 1e-9
 """Clip probabilities to this distance from 0 and 1, which bounds log odds by 21."""
+MIN_MASK_VERDICT = 0.15
+"""Verdict of the masks below which a prior can replace them: a region that 40 % of many views flag.
+Masks that missed 42 edits in 40 % of the views had 0.19 or more."""
 
 
 def fuse(
@@ -21,9 +26,10 @@ def fuse(
 ) -> tuple[np.ndarray, float]:
     """Fuse probabilities from masks with a prior.
 
-    Masks and prior are each correct or not, independently: the masks with the probability
-    `verdict`, the prior with that of its own verdict. If only one is correct, it alone counts. If
-    both are, the masks count, or both equally for an exact prior. If neither is, the masks count.
+    Where the masks do not count, the prior counts with the probability that it is correct, its
+    verdict: for Gaussians that no view sees, and anywhere if the verdict of the masks is below
+    `MIN_MASK_VERDICT`. An exact prior and the masks are each correct or not, independently: the one
+    that alone is correct counts, both equally if both are, and the masks if neither is.
 
     The fused verdict includes only evidence of the prior *for* an edit: an edit need not show in
     the prior, so that its absence there is no evidence.
@@ -36,9 +42,11 @@ def fuse(
         raise ValueError(
             f"the prior has {len(prior.probability)} Gaussians, expected {len(probability)}"
         )
-    masks_wrong = np.where(seen, 1 - verdict, 1.0)
-    both_right = (1 - masks_wrong) / 2 if prior.exact else 0.0
-    share = weight * prior.verdict * (masks_wrong + both_right) * prior.known
+    if prior.exact:
+        masks_wrong = 1 - verdict / 2  # and half of the cases in which both are correct
+    else:
+        masks_wrong = 1 - verdict if verdict < MIN_MASK_VERDICT else 0.0
+    share = weight * prior.verdict * np.where(seen, masks_wrong, 1.0) * prior.known
     log_odds = weight * max(float(log_odds_of(prior.verdict)), 0.0)
     fused_verdict = verdict / (verdict + (1 - verdict) * math.exp(-log_odds))
     from_prior = np.where(prior.known, prior.probability, 0.0)

@@ -1,6 +1,6 @@
 """Charts of the experiments, in colours for all kinds of colour vision."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -78,39 +78,56 @@ def curves(
     save(figure, path)
 
 
-def pareto(points: Frame, front: Mapping[str, Any], path: Path) -> None:
-    """F1 against seconds, and a line through the Pareto front, whose points are labelled.
+def trade_off(
+    fronts: Mapping[tuple[str, str], Mapping[str, Frame]],
+    titles: Mapping[tuple[str, str], str],
+    path: Path,
+) -> None:
+    """F1 against seconds: a panel per pair of columns, a curve per method, named at the right.
 
-    A colour per method, hollow for its variants; a marker per number of views; the size is the
-    scale of the images; the number of epochs stands beside a point where it varies.
+    A curve joins the settings of a method that no faster one of its own reaches; the wide grey line
+    is the same over all methods. Bars are the standard deviation over the scenes of the best
+    setting. Variants, such as "X, rendered", have the colour of X.
     """
-    figure, axis = plt.subplots(figsize=(10.5, 6.5), layout="constrained")
-    names, scales = points.method.unique(), points.scale.unique()
-    views = sorted(points["views"].unique())
-    bases = list(dict.fromkeys(name.split(",")[0] for name in names))
-
-    def draw(x: float, y: float, name: str, k: int = 0, scale: float = 0.5, **style: Any) -> Any:
-        color = COLORS[bases.index(name.split(",")[0])] if name else "#444444"
-        face, size = "none" if "," in name else color, 12 + 70 * scale
-        style = {"fc": face, "ec": color, "marker": MARKERS[k], "s": size, **style}
-        return axis.scatter(x, y, alpha=0.75, linewidths=1.2, **style)
-
-    for _, p in points.iterrows():
-        at = p["seconds"], p["f1"]
-        draw(*at, p["method"], views.index(p["views"]), p["scale"])
-        axis.annotate(p["epochs"], at, (5, -3), textcoords="offset points", fontsize=6.5)
-    away = float("nan"), float("nan")
-    handles = [draw(*away, name, label=name) for name in names]
-    handles += [draw(*away, "", k, label=f"{view} views") for k, view in enumerate(views)]
-    handles += [draw(*away, "", scale=scale, label=f"scale {scale:g}") for scale in scales]
-    x, y = ([point[key] for point in front.values()] for key in ("seconds", "f1"))
-    last = points.seconds.max()
-    axis.step([*x, last], [*y, y[-1]], where="post", color="black", lw=1)
-    for k, (label, p) in enumerate(front.items(), start=1):
-        at = p["seconds"], p["f1"]
-        axis.annotate(str(k), at, (-4, 7), textcoords="offset points", ha="right", fontsize=9)
-        handles += axis.plot([], [], " ", label=f"{k}: {label}")
-    axis.set(xscale="log", xlabel="seconds after the detector", ylabel="F1", ylim=(-0.03, 1.03))
-    axis.grid(visible=True, alpha=0.25)
-    figure.legend(handles=handles, loc="outside right center", fontsize=8)
+    bases = dict.fromkeys(name.split(",")[0] for name in next(iter(fronts.values())))
+    palette = dict(zip(bases, [c for c in COLORS if c != "#000000"], strict=False))
+    palette["robust"] = "#000000"
+    figure, axes = plt.subplots(2, 2, figsize=(12.5, 8.5), sharey=True, layout="constrained")
+    for axis, ((x, y), curves) in zip(axes.T.flat, fronts.items(), strict=True):
+        best = pd.concat(curves.values()).sort_values([x, y], ascending=[True, False])
+        best = best[best[y] > best[y].cummax().shift(fill_value=-1.0)]
+        axis.step(best[x], best[y], where="post", color="#dddddd", lw=8, zorder=0)
+        ends = []
+        for k, (name, front) in enumerate(curves.items()):
+            color, width = palette[name.split(",")[0]], 2.5 if name == "robust" else 1.2
+            axis.plot(front[x], front[y], lw=width, color=color, marker=MARKERS[k], ms=5)
+            last = front.iloc[-1]
+            axis.errorbar(last[x], last[y], last[f"{y}_spread"], color=color, lw=1)
+            ends.append((last[x], last[y], name, color))
+        axis.set(xscale="log", ylim=(-0.03, 1.05), xlabel="seconds from file to labels")
+        axis.set(ylabel="F1", title=titles[x, y])
+        axis.margins(x=0.06)
+        axis.grid(visible=True, alpha=0.25)
+        axis.xaxis.set_major_formatter("{x:g}")
+        axis.xaxis.set_minor_formatter("{x:g}" if best[x].min() > 1 else "")
+        _name_ends(axis, ends)
     save(figure, path)
+
+
+def _name_ends(axis: Any, ends: Sequence[tuple[float, float, str, str]]) -> None:
+    """Name curves right of a panel, at the height of their ends but apart from each other."""
+    height = -1.0
+    for x, y, name, color in sorted(ends, key=lambda end: end[1]):
+        height = max(y, height + 0.05)
+        axis.annotate(
+            name,
+            (x, y),
+            (1.03, height),
+            textcoords=axis.get_yaxis_transform(),
+            color=color,
+            fontsize=8.5,
+            weight="bold" if name == "robust" else "normal",
+            va="center",
+            annotation_clip=False,
+            arrowprops={"arrowstyle": "-", "color": color, "lw": 0.5, "alpha": 0.6},
+        )

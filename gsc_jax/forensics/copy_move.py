@@ -67,7 +67,7 @@ def moved_together(
     """
     from scipy.spatial import KDTree
 
-    tree = KDTree(attributes, compact_nodes=False, balanced_tree=False)
+    tree = KDTree(attributes, balanced_tree=False)
     rows = np.arange(len(means))
     if len(rows) > SAMPLE:
         rows = np.sort(np.random.default_rng(0).choice(len(rows), SAMPLE, replace=False))

@@ -16,7 +16,7 @@ from gsc_jax.forensics.copy_move import APPEARANCE_RADIUS, appearance
 from gsc_jax.render.spherical_harmonics import Y0
 from gsc_jax.scene import Gaussians
 from gsc_jax.scene.gaussians import rotation_matrices
-from gsc_jax.scene.neighbours import Neighbourhoods, neighbourhoods
+from gsc_jax.scene.neighbours import Neighbourhoods, neighbourhoods, tree_in_order
 from gsc_jax.scene.parallel import in_blocks
 from gsc_jax.scene.statistics import median_and_mad
 
@@ -221,8 +221,6 @@ def _agreement(axis: np.ndarray, around: Neighbourhoods) -> np.ndarray:
 
 def duplicate_closeness(gaussians: Gaussians) -> np.ndarray:
     """Closeness in [0, 1] of the most similar other Gaussian, and whether it is above 0, (N, 2)."""
-    from scipy.spatial import KDTree
-
     described = appearance(gaussians)
     # A KDTree degenerates where many points are equal.
     _, first, which, counts = np.unique(
@@ -231,9 +229,10 @@ def duplicate_closeness(gaussians: Gaussians) -> np.ndarray:
     distinct = described[first]
     distances = np.zeros(len(distinct))
     if len(distinct) > 1:
-        tree = KDTree(distinct, compact_nodes=False, balanced_tree=False)
+        tree, order = tree_in_order(distinct)
         bound = {"distance_upper_bound": APPEARANCE_RADIUS, "workers": -1}
-        distances = np.where(counts > 1, 0.0, tree.query(distinct, k=2, **bound)[0][:, 1])
+        distances[order] = tree.query(tree.data, k=2, **bound)[0][:, 1]
+        distances[counts > 1] = 0.0
     close = 1 - np.minimum(distances, APPEARANCE_RADIUS)[which] / APPEARANCE_RADIUS
     return np.column_stack([close, close > 0]).astype(np.float32)
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from gsc_jax.forensics.features import NEIGHBOURS, Features, in_group
-from gsc_jax.scene.neighbours import neighbourhoods, parts
+from gsc_jax.scene.neighbours import neighbourhoods, parts, tree_in_order
 from gsc_jax.scene.parallel import WORKERS
 
 GROUPS = (
@@ -86,13 +86,11 @@ def _novelty(statistics: np.ndarray, centers: np.ndarray) -> np.ndarray:
 
     The distance to the most similar place elsewhere, and how many of the `CANDIDATES` are nearby.
     """
-    from scipy.spatial import KDTree
-
     _, _, axes = np.linalg.svd(statistics, full_matrices=False)
     described = (statistics @ axes[:COMPONENTS].T).astype(np.float32)
-    distances, candidates = KDTree(described).query(
-        described, k=min(CANDIDATES, len(centers)), workers=WORKERS
-    )
+    tree, order = tree_in_order(described)
+    found = tree.query(tree.data, k=min(CANDIDATES, len(centers)), workers=WORKERS)
+    distances, candidates = found[0][np.argsort(order)], order[found[1][np.argsort(order)]]
     apart = np.linalg.norm(centers[candidates] - centers[:, None], axis=2)
     elsewhere = apart > _surroundings(centers)
     first = np.where(elsewhere.any(axis=1), elsewhere.argmax(axis=1), -1)

@@ -11,6 +11,18 @@ OBLIQUE = np.array([[1, 0.0123, 0.0071], [0.0071, 1, 0.0123], [0.0123, 0.0071, 1
 """Directions along which a point set is halved."""
 
 
+def tree_in_order(points: np.ndarray) -> tuple[Any, np.ndarray]:
+    """KDTree of finite points (N, D) sorted by its leaves, and the rows in that order, (N,).
+
+    Searches around its own points in this order are two to four times as fast, since they read the
+    memory that the one before has read.
+    """
+    from scipy.spatial import KDTree
+
+    order = KDTree(points, balanced_tree=False).indices
+    return KDTree(points[order], balanced_tree=False), order
+
+
 def nearest_neighbours(points: np.ndarray, rows: np.ndarray, count: int) -> np.ndarray:
     """Find the nearest `count` < N other points of the rows (M,) of finite points (N, 3).
 
@@ -60,17 +72,16 @@ class Neighbourhoods:
 def neighbourhoods(points: np.ndarray, k: int) -> Neighbourhoods:
     """Find the k nearest neighbours of finite points, shape (N, 3) with N > k."""
     from scipy.sparse import csr_array
-    from scipy.spatial import KDTree
 
-    tree = KDTree(points, compact_nodes=False, balanced_tree=False)
+    tree, order = tree_in_order(points)
     nearest, distances = (
         np.empty((len(points), k), np.int32),
         np.empty((len(points), k), np.float32),
     )
     for block in blocks(len(points)):  # SciPy's results take four times the memory
-        far, indices = tree.query(points[block], k=k + 1, workers=WORKERS)
+        far, indices = tree.query(tree.data[block], k=k + 1, workers=WORKERS)
         # The first is the point itself, or another one at the same place, at the same distance.
-        distances[block], nearest[block] = far[:, 1:], np.asarray(indices)[:, 1:]
+        distances[order[block]], nearest[order[block]] = far[:, 1:], order[indices[:, 1:]]
     ends = np.arange(0, nearest.size + 1, k, dtype=np.int32)
     weights = np.full(nearest.size, 1 / k, np.float32)
     mean = csr_array((weights, nearest.ravel(), ends), shape=(len(points), len(points)))

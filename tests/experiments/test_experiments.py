@@ -19,12 +19,13 @@ SCRIPTS = (
     "fusion",
     "native",
     "parsimony",
+    "published_fit",
     "robustness",
     "speed_accuracy",
     "stability",
     "unseen",
 )
-WITHOUT_CHART = ("fusion", "unseen")
+WITHOUT_CHART = ("fusion", "published_fit", "unseen")
 
 
 @pytest.mark.slow

@@ -14,13 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from gsc_jax.benchmark.densification import (
-    GROWTH,
-    adapt_density,
-    disturbance,
-    relocate,
-    reset_opacities,
-)
+from gsc_jax.benchmark import densification
 from gsc_jax.benchmark.similarity import ssim
 from gsc_jax.render.reprojection import reprojected
 from gsc_jax.render.spherical_harmonics import Y0
@@ -134,7 +128,7 @@ def capture(
         training = stepped(training, view, camera, images[index], rates, weights)
         if config.strategy == "mcmc":
             scene = training.scene
-            moved = scene.means + disturbance(scene, float(rates.means), rng)
+            moved = scene.means + densification.disturbance(scene, float(rates.means), rng)
             training = training._replace(scene=dataclasses.replace(scene, means=moved))
         done = (step + 1) / config.iterations
         if (step + 1) % INTERVAL == 0 and DENSIFIED[0] <= done <= DENSIFIED[1]:
@@ -267,13 +261,13 @@ def _densified(
     """The state after a densification; the moments of changed rows start again."""
     scene, lowered = jax.tree.map(np.array, training.scene), np.zeros(config.budget, bool)
     if config.strategy == "mcmc":
-        changed = relocate(scene, rng, _growth(scene, done, config))
+        changed = densification.relocate(scene, rng, _growth(scene, done, config))
     else:
         gradient = np.asarray(training.gradient / jnp.maximum(training.seen, 1))
-        changed = adapt_density(scene, gradient, extent, rng)
+        changed = densification.adapt_density(scene, gradient, extent, rng)
         since = done - INTERVAL / config.iterations
         if config.reset_opacities and any(since < reset <= done for reset in RESETS):
-            lowered = reset_opacities(scene)
+            lowered = densification.reset_opacities(scene)
     mu, nu = (
         _forgotten(moment, changed, lowered)
         for moment in (training.moments.mu, training.moments.nu)
@@ -285,12 +279,18 @@ def _growth(scene: Gaussians, done: float, config: CaptureConfig) -> int:
     """Number of Gaussians that MCMC adds: 5 %, or more where that would not reach the budget."""
     used = int(np.isfinite(scene.logit_opacities).sum())
     left = int((DENSIFIED[1] - done) * config.iterations / INTERVAL + 1e-6) + 1
-    return max(int(GROWTH * used), round(used * (config.budget / used) ** (1 / left)) - used)
+    wanted = round(used * (config.budget / used) ** (1 / left))
+    return max(int(densification.GROWTH * used), wanted - used)
 
 
 def _forgotten(moments: Gaussians, changed: np.ndarray, lowered: np.ndarray) -> Gaussians:
     """Moments of Adam, with 0 for the rows `changed` and the opacities `lowered`, (N,) bool."""
     kept = jnp.asarray(~changed, jnp.float32)
-    moments = jax.tree.map(lambda leaf: leaf * kept.reshape(-1, *[1] * (leaf.ndim - 1)), moments)
+    moments = jax.tree.map(lambda leaf: leaf * per_row(kept, leaf), moments)
     logits = moments.logit_opacities * jnp.asarray(~lowered, jnp.float32)
     return dataclasses.replace(moments, logit_opacities=logits)
+
+
+def per_row(values: jax.Array, leaf: jax.Array) -> jax.Array:
+    """Values (N,) in the shape of a parameter (N, ...), for broadcasting."""
+    return values.reshape(-1, *[1] * (leaf.ndim - 1))

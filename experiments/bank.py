@@ -14,10 +14,10 @@ import jax
 import numpy as np
 from cases import DATA, Scene, available, load_scene, pruned
 from cut_object import cut_object
+from export import EXPORTERS, export
 from garden import make_garden
 
 from gsc_jax import load_cameras, load_ply
-from gsc_jax.benchmark.export import EXPORTERS, export
 from gsc_jax.benchmark.optimised import laundered
 from gsc_jax.benchmark.scenes import make_object, make_room
 from gsc_jax.benchmark.tamper import Edit, Program, tamper

@@ -13,12 +13,12 @@ from collections.abc import Iterator
 
 import numpy as np
 from cases import UNSEEN, Case, detector_masks
+from export import export
 from methods import ALL_METHODS, seeded
 from observations import CaseObservation, Prediction, observe_regimes
 from runner import Args, judge, measured, start
 from tables import Frame, Row, markdown, pivot, write_section
 
-from gsc_jax.benchmark.export import export
 from gsc_jax.benchmark.simulate import decoy_labels
 from gsc_jax.estimators import METHODS, Prior
 from gsc_jax.forensics.evidence import forensic_evidence

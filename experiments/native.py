@@ -18,6 +18,7 @@ import charts
 import numpy as np
 import pandas as pd
 from cases import QUICK, Case, calibrated_mixture, detector_masks, donor_name, without_edit
+from export import export as export_scene
 from matplotlib import pyplot as plt
 from methods import ALL_METHODS, seeded
 from observations import CaseObservation, Prediction, observe_regimes
@@ -25,7 +26,6 @@ from runner import Args, heldout_masks, judge, measured, scores, start
 from scipy.special import expit
 from tables import TRUTH, Row, markdown, pivot, where, write_section
 
-from gsc_jax.benchmark.export import export as export_scene
 from gsc_jax.benchmark.metrics import auc, false_positive_area
 from gsc_jax.benchmark.simulate import REGIMES, Failures
 from gsc_jax.estimators import METHODS, Prior

@@ -12,13 +12,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from export import export
 from native import EXPORTS, classifier_without
 from real_scenes import HELDOUT, Args, Scene, load
 from runner import start
 from tables import markdown, write_section
 
 from gsc_jax import view_mask
-from gsc_jax.benchmark.export import export
 from gsc_jax.benchmark.metrics import auc, confusion, mean_over_tampered_views
 from gsc_jax.estimators import METHODS, Finding
 from gsc_jax.forensics.evidence import estimate_from_attributes, forensic_evidence

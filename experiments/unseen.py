@@ -11,12 +11,12 @@ from collections.abc import Iterator
 
 import pandas as pd
 from cases import QUICK, UNSEEN, Case, make_case, without_edit
+from export import EXPORTERS, export
 from native import WITH_TRACES, rows_without_masks
 from runner import Args, measured, start
 from tables import Frame, Row, markdown, pivot, where, write_section
 from tqdm import tqdm
 
-from gsc_jax.benchmark.export import EXPORTERS, export
 from gsc_jax.forensics.evidence import forensic_evidence
 from gsc_jax.scene import InputError
 

@@ -8,15 +8,9 @@ object follows from the share of the pixels that it should cover. Objects are up
 import dataclasses
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from gsc_jax.benchmark.regions import (
-    EditRejected,
-    ProposedEdit,
-    Visibility,
-    draw_seeds,
-    median_visible_share,
-    visible_shares,
-)
+from gsc_jax.benchmark import regions
 from gsc_jax.benchmark.scenes import concatenate
 from gsc_jax.render.spherical_harmonics import rotate
 from gsc_jax.scene import Array, Gaussians
@@ -38,8 +32,6 @@ def transformed(
 
     R has shape (3, 3); a scale that is not positive raises ValueError.
     """
-    from scipy.spatial.transform import Rotation
-
     if not scale > 0:
         raise ValueError(f"scale must be positive, got {scale}")
     R = np.asarray(rotation, np.float64)
@@ -56,25 +48,23 @@ def transformed(
 
 def paste_object(
     gaussians: Gaussians,
-    visibility: Visibility,
+    visibility: regions.Visibility,
     size: float,
     rng: np.random.Generator,
     donor: Gaussians,
-) -> ProposedEdit:
+) -> regions.ProposedEdit:
     """Paste an object so that it covers `size`, a median share of the pixels; its rows are last."""
-    from scipy.spatial.transform import Rotation
-
     low, high = extent(donor)
     foot, (width, height, depth) = foot_of(low, high), high - low
     radius = 0.5 * np.hypot(width, depth)
-    places = draw_seeds(visibility, PLACES, rng)
+    places = regions.draw_seeds(visibility, PLACES, rng)
     area = 0.6 * height * np.sqrt(2) * radius  # an object fills about 0.6 of its bounding box
     pixels = size * visibility.cameras[0].width * visibility.cameras[0].height
     pixel_sizes = _pixel_sizes(visibility, np.asarray(gaussians.means)[places])
     scales = pixel_sizes * np.sqrt(pixels / area)
     cost, ground, scale = _best_place(gaussians, visibility, places, scales, (radius, height))
     if cost > MAX_COST:
-        raise EditRejected("no level and free ground is in view")
+        raise regions.EditRejected("no level and free ground is in view")
     angle = rng.uniform(0, 360)
     turn = Rotation.from_euler("y", angle, degrees=True).as_matrix()
     rotation = rotation_between(np.array([0, -1.0, 0]), visibility.up) @ turn
@@ -88,16 +78,16 @@ def paste_object(
 
     for _ in range(RESIZES):
         cameras = visibility.cameras[::2]
-        shares = visible_shares(pasted(scale), cameras, labels, near=visibility.near)
-        scale *= np.clip(np.sqrt(size / max(median_visible_share(shares), 1e-6)), 0.5, 2)
+        shares = regions.visible_shares(pasted(scale), cameras, labels, near=visibility.near)
+        scale *= np.clip(np.sqrt(size / max(regions.median_visible_share(shares), 1e-6)), 0.5, 2)
     count = f"{len(donor):,} Gaussians"
     description = f"an object of {count} stood into it, turned by {angle:.0f} degrees"
-    return ProposedEdit(pasted(scale), labels, description)
+    return regions.ProposedEdit(pasted(scale), labels, description)
 
 
 def _best_place(
     gaussians: Gaussians,
-    visibility: Visibility,
+    visibility: regions.Visibility,
     places: np.ndarray,
     scales: np.ndarray,
     size: tuple[float, float],
@@ -163,8 +153,6 @@ def foot_of(low: np.ndarray, high: np.ndarray) -> np.ndarray:
 
 def rotation_between(start: np.ndarray, end: np.ndarray) -> np.ndarray:
     """Shortest rotation that maps one unit vector to another, shape (3, 3)."""
-    from scipy.spatial.transform import Rotation
-
     return Rotation.align_vectors(end, start)[0].as_matrix()
 
 
@@ -186,7 +174,7 @@ def _with_quaternion_lengths_of(scene: Gaussians, donor: Gaussians) -> Gaussians
     return dataclasses.replace(donor, quats=np.asarray(donor.rotations, np.float32))
 
 
-def _pixel_sizes(visibility: Visibility, places: np.ndarray) -> np.ndarray:
+def _pixel_sizes(visibility: regions.Visibility, places: np.ndarray) -> np.ndarray:
     """Size of a pixel at places in world units, (P,): the median of the views in front of them."""
     sizes = []
     for camera in visibility.cameras:

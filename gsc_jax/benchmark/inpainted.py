@@ -7,16 +7,10 @@ continued by a biharmonic function, and Gaussians start where one view sees the 
 
 import numpy as np
 
+from gsc_jax.benchmark import regions
 from gsc_jax.benchmark.incorporation import with_degree
 from gsc_jax.benchmark.metrics import rendered_share
 from gsc_jax.benchmark.optimised import Refinement, refine, renders
-from gsc_jax.benchmark.regions import (
-    EditRejected,
-    ProposedEdit,
-    Visibility,
-    draw_seeds,
-    grow_region,
-)
 from gsc_jax.benchmark.scenes import concatenate
 from gsc_jax.render.spherical_harmonics import Y0
 from gsc_jax.scene import Camera, Gaussians
@@ -35,26 +29,24 @@ OPACITY_LOGIT = 1.0
 
 
 def inpaint_region(
-    gaussians: Gaussians, visibility: Visibility, size: float, rng: np.random.Generator
-) -> ProposedEdit:
+    gaussians: Gaussians, visibility: regions.Visibility, size: float, rng: np.random.Generator
+) -> regions.ProposedEdit:
     """Remove a region that covers `size`, inpaint the hole, and train Gaussians that fill it.
 
     The arguments are those of `remove_region`; the views are those of the visibility.
     """
-    region = grow_region(gaussians, visibility, draw_seeds(visibility, 1, rng)[0], size)
-    removed = np.zeros(len(gaussians), bool)
-    removed[region.rows] = True
+    seed = regions.draw_seeds(visibility, 1, rng)[0]
+    region = regions.grow_region(gaussians, visibility, seed, size)
+    removed = np.isin(np.arange(len(gaussians)), region.rows)
     cameras, near = visibility.cameras, visibility.near
     rest = gaussians.take(np.flatnonzero(~removed))
     shares = [rendered_share(gaussians, camera, removed, near=near) for camera in cameras]
     holes = np.stack(shares) > HOLE_SHARE
     best = int(holes.sum(axis=(1, 2)).argmax())
     if holes[best].sum() < MIN_PIXELS:
-        raise EditRejected(f"a hole of {holes[best].sum()} pixels")
-    images = np.stack(
-        [continued(i, h) for i, h in zip(renders(rest, cameras, near), holes, strict=True)]
-    )
-    images = np.clip(images, 0, 1).astype(np.float32)
+        raise regions.EditRejected(f"a hole of {holes[best].sum()} pixels")
+    images = map(continued, renders(rest, cameras, near), holes)
+    images = np.clip(np.stack(list(images)), 0, 1).astype(np.float32)
     depth = continued(_log_depth(rest, cameras[best], near), holes[best])
     fill = _unprojected(
         images[best], np.exp(depth), holes[best], cameras[best], int(removed.sum()), rng
@@ -67,7 +59,7 @@ def inpaint_region(
         f"{len(region.rows):,} Gaussians of a region taken away, the hole inpainted in "
         f"{len(cameras)} views, and {len(fill):,} Gaussians trained for them"
     )
-    return ProposedEdit(after, labels, description, gaussians)
+    return regions.ProposedEdit(after, labels, description, gaussians)
 
 
 def continued(values: np.ndarray, hole: np.ndarray) -> np.ndarray:

@@ -12,36 +12,24 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from gsc_jax.benchmark.regions import (
-    OBJECT_CONTRAST,
-    EditRejected,
-    ProposedEdit,
-    Region,
-    Visibility,
-    draw_seeds,
-    grow_region,
-)
+from gsc_jax.benchmark import regions
 from gsc_jax.render.spherical_harmonics import Y0
 from gsc_jax.scene import Gaussians
 
 Warp = Callable[[jax.Array], jax.Array]
 
-MIN_REGION_ROWS = 8
-"""Regions of fewer Gaussians are rejected: too few for a visible change."""
 KINDS = ("colour", "texture", "scale", "shape")
 
 
 def modify_region(
-    gaussians: Gaussians, visibility: Visibility, size: float, rng: np.random.Generator
-) -> ProposedEdit:
+    gaussians: Gaussians, visibility: regions.Visibility, size: float, rng: np.random.Generator
+) -> regions.ProposedEdit:
     """Change a random region that covers `size`, a median share of the pixels, in a random way."""
     kind = str(rng.choice(KINDS))
     factor = rng.uniform(1.3, 1.7) if kind == "scale" else 1.0
-    seed = draw_seeds(visibility, 1, rng)[0]
-    region = grow_region(gaussians, visibility, seed, size / factor**2, contrast=OBJECT_CONTRAST)
-    if len(region.rows) < MIN_REGION_ROWS:
-        raise EditRejected(f"a region of {len(region.rows)} Gaussians")
+    region = regions.draw_object(gaussians, visibility, size / factor**2, rng)
     before = gaussians.take(region.rows)
     if kind == "colour":
         after, change = recolour(before, rng)
@@ -53,21 +41,16 @@ def modify_region(
     else:
         after, change = _reshape(before, region, rng)
     # A warp that fades out leaves the border as it was: those rows stay authentic to the bit.
-    rows = np.flatnonzero(changed_rows(before, after, region.radius))
-    labels = np.zeros(len(gaussians), bool)
-    labels[region.rows[rows]] = True
-    return ProposedEdit(
-        with_rows(gaussians, region.rows[rows], after.take(rows)),
-        labels,
-        f"a region of {len(rows):,} Gaussians, {change}",
-        gaussians,
-    )
+    changed = changed_rows(before, after, region.radius)
+    rows = region.rows[changed]
+    labels = np.isin(np.arange(len(gaussians)), rows)
+    what = f"a region of {len(rows):,} Gaussians, {change}"
+    edited = with_rows(gaussians, rows, after.take(changed))
+    return regions.ProposedEdit(edited, labels, what, gaussians)
 
 
 def warp_gaussians(gaussians: Gaussians, warp: Warp) -> Gaussians:
     """Move Gaussians by a map of points (3,), and reshape them by its Jacobian."""
-    from scipy.spatial.transform import Rotation
-
     means = jnp.asarray(gaussians.means)
     # One compilation instead of one per operation, since each region has another size.
     moved, jacobians = jax.jit(jax.vmap(lambda x: (warp(x), jax.jacfwd(warp)(x))))(means)
@@ -117,8 +100,6 @@ def changed_rows(before: Gaussians, after: Gaussians, radius: float) -> np.ndarr
 
 def recolour(gaussians: Gaussians, rng: np.random.Generator) -> tuple[Gaussians, str]:
     """Rotate the hue of all harmonics and shift the base colour; also describe the change."""
-    from scipy.spatial.transform import Rotation
-
     angle = rng.uniform(80, 280)
     # A rotation about the grey axis of RGB keeps 0.5 + Y h consistent for every harmonic h.
     rotation = Rotation.from_rotvec(np.radians(angle) * np.ones(3) / np.sqrt(3)).as_matrix()
@@ -130,7 +111,7 @@ def recolour(gaussians: Gaussians, rng: np.random.Generator) -> tuple[Gaussians,
 
 
 def add_pattern(
-    gaussians: Gaussians, region: Region, rng: np.random.Generator
+    gaussians: Gaussians, region: regions.Region, rng: np.random.Generator
 ) -> tuple[Gaussians, str]:
     """Add stripes or checks of another colour to a region; also describe the change."""
     wavelength = rng.uniform(0.25, 0.5) * region.radius
@@ -144,7 +125,9 @@ def add_pattern(
     return patterned, f"{'checks' if checks else 'stripes'} {wavelength:.2g} wide printed on it"
 
 
-def _reshape(before: Gaussians, region: Region, rng: np.random.Generator) -> tuple[Gaussians, str]:
+def _reshape(
+    before: Gaussians, region: regions.Region, rng: np.random.Generator
+) -> tuple[Gaussians, str]:
     if rng.random() < 0.5:
         angle = rng.choice([-1, 1]) * rng.uniform(90, 200)
         after = warp_gaussians(before, twist(region, np.radians(angle)))
@@ -153,7 +136,7 @@ def _reshape(before: Gaussians, region: Region, rng: np.random.Generator) -> tup
     return warp_gaussians(before, bulge(region, height)), f"its middle lifted by {height:.2g}"
 
 
-def scaling(region: Region, factor: float) -> Warp:
+def scaling(region: regions.Region, factor: float) -> Warp:
     """Warp that scales a region about its centre."""
     center = jnp.asarray(region.center, jnp.float32)
     # A small shift towards the cameras keeps an enlarged sheet in front of its surroundings.
@@ -161,7 +144,7 @@ def scaling(region: Region, factor: float) -> Warp:
     return lambda x: center + lift + jnp.float32(factor) * (x - center)
 
 
-def twist(region: Region, angle: float) -> Warp:
+def twist(region: regions.Region, angle: float) -> Warp:
     """Warp that rotates a region about the direction to the cameras, most at its centre."""
 
     def warp(x):
@@ -173,7 +156,7 @@ def twist(region: Region, angle: float) -> Warp:
     return warp
 
 
-def bulge(region: Region, height: float) -> Warp:
+def bulge(region: regions.Region, height: float) -> Warp:
     """Warp that shifts a region towards the cameras, most at its centre."""
 
     def warp(x):
@@ -183,7 +166,7 @@ def bulge(region: Region, height: float) -> Warp:
     return warp
 
 
-def _split(x: jax.Array, region: Region) -> tuple[jax.Array, ...]:
+def _split(x: jax.Array, region: regions.Region) -> tuple[jax.Array, ...]:
     """Centre, axis, offset along and across the axis, and decay from 1 on the axis to 0."""
     axis, center = (jnp.asarray(v, jnp.float32) for v in (region.towards, region.center))
     offset = x - center

@@ -12,26 +12,11 @@ from collections.abc import Callable, Sequence
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from gsc_jax.benchmark.capture import (
-    CaptureConfig,
-    camera_extent,
-    learning_rates,
-    passes,
-    require_images,
-    started,
-    stepped,
-)
+from gsc_jax.benchmark import regions, training
 from gsc_jax.benchmark.metrics import rendered_share
-from gsc_jax.benchmark.modification import MIN_REGION_ROWS, changed_rows, with_rows
-from gsc_jax.benchmark.regions import (
-    OBJECT_CONTRAST,
-    EditRejected,
-    ProposedEdit,
-    Visibility,
-    draw_seeds,
-    grow_region,
-)
+from gsc_jax.benchmark.modification import changed_rows, with_rows
 from gsc_jax.render.projection import NEAR
 from gsc_jax.render.tiles import make_view
 from gsc_jax.scene import Camera, Gaussians
@@ -74,37 +59,30 @@ def refine(
     default all; others, infinite opacities and infinite scales stay as they are, to the bit.
     Returns NumPy float32; cameras and images that do not fit together raise ValueError.
     """
-    require_images(cameras, images)
-    options, config = options or Refinement(), CaptureConfig(sh_degree=gaussians.sh_degree)
+    training.require_images(cameras, images)
+    options, config = options or Refinement(), training.CaptureConfig(sh_degree=gaussians.sh_degree)
     first = jax.tree.map(jnp.asarray, gaussians)
     mask = jnp.ones(len(first)) if rows is None else jnp.asarray(rows, jnp.float32)
-    rates = jax.tree.map(
-        lambda rate, leaf: rate * _per_row(mask, leaf),
-        learning_rates(PROGRESS, camera_extent(cameras), config),
-        first,
-    )
-    training, order = started(first), passes(len(cameras), np.random.default_rng(options.seed))
+    rates = training.learning_rates(PROGRESS, training.camera_extent(cameras), config)
+    rates = jax.tree.map(lambda rate, leaf: rate * training.per_row(mask, leaf), rates, first)
+    state, weights = training.started(first), (config.ssim_weight, 0.0)
+    order = training.passes(len(cameras), np.random.default_rng(options.seed))
     for _, index in zip(range(options.steps), order, strict=False):
         camera = dataclasses.replace(cameras[index], name="")  # static: one compilation for all
-        view = make_view(training.scene, camera, near=options.near)
-        training = stepped(training, view, camera, images[index], rates, (config.ssim_weight, 0.0))
-        training = training._replace(scene=_drawn_back(training.scene, first, mask, options.anchor))
-    return jax.tree.map(np.asarray, training.scene)
+        view = make_view(state.scene, camera, near=options.near)
+        state = training.stepped(state, view, camera, images[index], rates, weights)
+        state = state._replace(scene=_drawn_back(state.scene, first, mask, options.anchor))
+    return jax.tree.map(np.asarray, state.scene)
 
 
 @jax.jit
 def _drawn_back(scene: Gaussians, first: Gaussians, mask: jax.Array, share: float) -> Gaussians:
     def drawn_back(leaf: jax.Array, old: jax.Array) -> jax.Array:
         # Opacities and scales may be infinite, and their differences then are not numbers.
-        free = jnp.isfinite(old) & (_per_row(mask, leaf) > 0)
+        free = jnp.isfinite(old) & (training.per_row(mask, leaf) > 0)
         return jnp.where(free, leaf + share * (old - leaf), old)
 
     return jax.tree.map(drawn_back, scene, first)
-
-
-def _per_row(values: jax.Array, leaf: jax.Array) -> jax.Array:
-    """Values (N,) in the shape of a parameter (N, ...), for broadcasting."""
-    return values.reshape(-1, *[1] * (leaf.ndim - 1))
 
 
 def laundered(
@@ -117,34 +95,26 @@ def laundered(
 
 
 def optimise_region(
-    gaussians: Gaussians, visibility: Visibility, size: float, rng: np.random.Generator
-) -> ProposedEdit:
+    gaussians: Gaussians, visibility: regions.Visibility, size: float, rng: np.random.Generator
+) -> regions.ProposedEdit:
     """Edit the images of a random region, and optimise its Gaussians for them.
 
     The arguments are those of `modify_region`; the views are those of the visibility.
     """
-    seed = draw_seeds(visibility, 1, rng)[0]
-    region = grow_region(gaussians, visibility, seed, size, contrast=OBJECT_CONTRAST)
-    if len(region.rows) < MIN_REGION_ROWS:
-        raise EditRejected(f"a region of {len(region.rows)} Gaussians")
-    rows = np.zeros(len(gaussians), bool)
-    rows[region.rows] = True
+    region = regions.draw_object(gaussians, visibility, size, rng)
+    rows = np.isin(np.arange(len(gaussians)), region.rows)
     name = str(rng.choice(list(IMAGE_EDITS)))
     change, cameras = IMAGE_EDITS[name](rng), visibility.cameras
     shares = [rendered_share(gaussians, camera, rows, near=visibility.near) for camera in cameras]
     inside = np.stack(shares)[..., None]
     images = renders(gaussians, cameras, visibility.near)
-    edited = np.stack([change(image) for image in images])
-    after = refine(
-        gaussians,
-        cameras,
-        (images + inside * (edited - images)).astype(np.float32),
-        rows=rows,
-        options=Refinement(near=visibility.near, seed=int(rng.integers(2**31))),
-    )
+    targets = images + inside * (np.stack([change(image) for image in images]) - images)
+    options = Refinement(near=visibility.near, seed=int(rng.integers(2**31)))
+    after = refine(gaussians, cameras, targets.astype(np.float32), rows=rows, options=options)
     labels = rows & changed_rows(gaussians, after, region.radius)
     what = f"a region of {labels.sum():,} Gaussians, optimised for images that were {name}"
-    return ProposedEdit(with_rows(gaussians, labels, after.take(labels)), labels, what, gaussians)
+    edited = with_rows(gaussians, labels, after.take(labels))
+    return regions.ProposedEdit(edited, labels, what, gaussians)
 
 
 def renders(gaussians: Gaussians, cameras: Sequence[Camera], near: float) -> np.ndarray:
@@ -154,8 +124,6 @@ def renders(gaussians: Gaussians, cameras: Sequence[Camera], near: float) -> np.
 
 
 def _recoloured(rng: np.random.Generator) -> ImageEdit:
-    from scipy.spatial.transform import Rotation
-
     turn = Rotation.from_rotvec(rng.uniform(1.5, 4.5) * np.ones(3) / np.sqrt(3)).as_matrix()
     shift = rng.uniform(-0.15, 0.15, 3)
     return lambda image: np.clip(0.5 + (image - 0.5) @ turn.T + shift, 0, 1)

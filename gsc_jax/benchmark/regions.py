@@ -13,6 +13,9 @@ from typing import NamedTuple, TypeVar
 
 import jax.numpy as jnp
 import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+from scipy.spatial import KDTree
 
 from gsc_jax.benchmark.metrics import truth_mask
 from gsc_jax.render.orbit import mean_up
@@ -35,6 +38,8 @@ VISIBLE_SHARE = 0.003
 """An edit is visible in a view where it covers at least this share of the pixels."""
 OBJECT_CONTRAST = 6.0
 """Contrast for regions that should end at the edges of objects; see `grow_region`."""
+MIN_OBJECT_ROWS = 8
+"""Objects of fewer Gaussians are rejected: too few for a visible change."""
 NEIGHBOURS = 10
 """Least number of edges of a Gaussian in the graph."""
 RING_REACH = 1.9
@@ -155,6 +160,17 @@ def draw_seeds(visibility: Visibility, count: int, rng: np.random.Generator) -> 
     return rng.choice(len(weights), count, replace=False, p=weights / weights.sum())
 
 
+def draw_object(
+    gaussians: Gaussians, visibility: Visibility, size: float, rng: np.random.Generator
+) -> Region:
+    """Grow a region at a random seed that ends at the edges of objects; see `grow_region`."""
+    seed = draw_seeds(visibility, 1, rng)[0]
+    region = grow_region(gaussians, visibility, seed, size, contrast=OBJECT_CONTRAST)
+    if len(region.rows) < MIN_OBJECT_ROWS:
+        raise EditRejected(f"a region of {len(region.rows)} Gaussians")
+    return region
+
+
 def grow_region(
     gaussians: Gaussians,
     visibility: Visibility,
@@ -217,10 +233,6 @@ def _rows_to_cover(shares: np.ndarray, size: float) -> int:
 
 def _graph_distances(means: np.ndarray, colors: np.ndarray, contrast: float) -> np.ndarray:
     """Length of the shortest path from the first point to each in the graph, shape (M,)."""
-    from scipy.sparse import csr_array
-    from scipy.sparse.csgraph import dijkstra
-    from scipy.spatial import KDTree
-
     count, k = len(means), min(NEIGHBOURS, len(means) - 1)
     if count == 1:
         return np.zeros(1)

@@ -10,15 +10,9 @@ without a seam. The copies are the tampered part.
 import dataclasses
 
 import numpy as np
+from scipy.spatial import KDTree
 
-from gsc_jax.benchmark.regions import (
-    EditRejected,
-    ProposedEdit,
-    Region,
-    Visibility,
-    draw_seeds,
-    grow_region,
-)
+from gsc_jax.benchmark import regions
 from gsc_jax.benchmark.scenes import concatenate
 from gsc_jax.scene import Gaussians
 
@@ -49,7 +43,7 @@ class Hole:
         rows: Coordinates of the region likewise, shape (M, 3).
     """
 
-    region: Region
+    region: regions.Region
     frame: np.ndarray
     surface: np.ndarray
     ring: np.ndarray
@@ -91,18 +85,18 @@ class Hole:
 
 
 def remove_region(
-    gaussians: Gaussians, visibility: Visibility, size: float, rng: np.random.Generator
-) -> ProposedEdit:
+    gaussians: Gaussians, visibility: regions.Visibility, size: float, rng: np.random.Generator
+) -> regions.ProposedEdit:
     """Remove a region that covers `size`, a median share of the pixels, and fill the hole."""
-    seeds = draw_seeds(visibility, CANDIDATES, rng)
-    regions = [grow_region(gaussians, visibility, row, size) for row in seeds]
+    seeds = regions.draw_seeds(visibility, CANDIDATES, rng)
+    grown = [regions.grow_region(gaussians, visibility, row, size) for row in seeds]
     # Gaussians that no view sees, as inside a cupboard, must not appear in the fill.
     seen = np.any(visibility.pixel_share > 0, axis=0)
-    regions = [dataclasses.replace(r, ring=r.ring[seen[r.ring]]) for r in regions]
-    holes = [fit_hole(gaussians, r) for r in regions if min(len(r.ring), len(r.rows)) >= 16]
+    grown = [dataclasses.replace(r, ring=r.ring[seen[r.ring]]) for r in grown]
+    holes = [fit_hole(gaussians, r) for r in grown if min(len(r.ring), len(r.rows)) >= 16]
     hole = min(holes, key=lambda hole: hole.cost, default=None)
     if hole is None or not hole.sector_counts[0].any():
-        raise EditRejected("nothing surrounds the region")
+        raise regions.EditRejected("nothing surrounds the region")
     fill = fill_hole(gaussians, hole, rng)
     rest = np.delete(np.arange(len(gaussians)), hole.region.rows)
     description = (
@@ -110,10 +104,10 @@ def remove_region(
         f"{len(fill):,} copies of its surroundings"
     )
     scene = concatenate([gaussians.take(rest), fill])
-    return ProposedEdit(scene, np.arange(len(scene)) >= len(rest), description, gaussians)
+    return regions.ProposedEdit(scene, np.arange(len(scene)) >= len(rest), description, gaussians)
 
 
-def fit_hole(gaussians: Gaussians, region: Region) -> Hole:
+def fit_hole(gaussians: Gaussians, region: regions.Region) -> Hole:
     """Fit a smooth surface through the ring of a region, which must not be empty."""
     means = np.asarray(gaussians.means, np.float64)
     ring, rows = (means[index] - region.center for index in (region.ring, region.rows))
@@ -129,8 +123,6 @@ def fit_hole(gaussians: Gaussians, region: Region) -> Hole:
 
 def fill_hole(gaussians: Gaussians, hole: Hole, rng: np.random.Generator) -> Gaussians:
     """Fill a hole with noisy copies of its ring, mirrored at the edge, at the same density."""
-    from scipy.spatial import KDTree
-
     source = np.flatnonzero(hole.in_surface)
     flat = _uniform_points(hole, rng)
     radii, angles = _polar(flat)

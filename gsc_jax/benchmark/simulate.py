@@ -13,6 +13,8 @@ import dataclasses
 from collections.abc import Mapping
 
 import numpy as np
+from scipy.spatial import KDTree
+from scipy.special import expit
 
 from gsc_jax.scene import Gaussians
 
@@ -100,8 +102,6 @@ def decoy_labels(gaussians: Gaussians, labels: np.ndarray, *, seed: int) -> np.n
     object, where its cameras look; of a few random places, the one with most Gaussians is taken.
     If nothing is tampered, or no opaque Gaussian lies apart from the object, raises ValueError.
     """
-    from scipy.spatial import KDTree
-
     if not labels.any():
         raise ValueError("labels mark no Gaussian, so there is no object to match in size")
     means = np.asarray(gaussians.means)
@@ -120,25 +120,20 @@ def decoy_labels(gaussians: Gaussians, labels: np.ndarray, *, seed: int) -> np.n
     counts = tree.query_ball_point(places, radius, return_length=True)
     size = min(int(labels.sum()), int(counts.max()))
     _, nearest = tree.query(places[np.argmax(counts)], k=size)
-    region = np.zeros(len(labels), bool)
-    region[authentic[np.atleast_1d(nearest)]] = True
-    return region
+    return np.isin(np.arange(len(labels)), authentic[nearest])
 
 
 def _random_share(among: np.ndarray, share: float, rng: np.random.Generator) -> np.ndarray:
     """Mask of a random share of the views in `among`, shape (V,) bool."""
     views = np.flatnonzero(among)
-    picked = np.zeros(len(among), bool)
-    picked[rng.permutation(views)[: round(share * len(views))]] = True
-    return picked
+    picked = rng.permutation(views)[: round(share * len(views))]
+    return np.isin(np.arange(len(among)), picked)
 
 
 def _probability_map(
     region: np.ndarray, failures: Failures, rng: np.random.Generator
 ) -> np.ndarray:
     """Probability map of a view in which this region is flagged, blobs and rough edges added."""
-    from scipy.special import expit
-
     distance = _signed_distance(region)
     for _ in range(rng.poisson(failures.blobs)):
         distance = np.maximum(distance, _blob(region.shape, failures.blob_size, rng))

@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from gsc_jax.render.spherical_harmonics import Y0
 from gsc_jax.scene import Gaussians, InputError
@@ -222,8 +223,6 @@ def _surfels(
     rng: np.random.Generator,
 ) -> Gaussians:
     """Flat Gaussians of degree 1 at points (N, 3) of a surface, with RGB colours in [0, 1]."""
-    from scipy.spatial.transform import Rotation
-
     count = len(points)
     normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
     tangents = np.cross(normals, rng.normal(size=(count, 3)))

@@ -95,9 +95,14 @@ def tamper(
         ValueError: if the edit is unknown, the size is not in (0, 0.5], or the object is unusable.
         InputError: if the cameras do not see the scene, or no attempt gave a visible edit.
     """
-    kind, make = _kind_and_maker(edit)
+    if not (isinstance(edit, Gaussians) or edit in MAKERS):
+        raise ValueError(f"edit must be an object or one of {', '.join(MAKERS)}, got {edit!r}")
     if not 0 < size <= 0.5:
         raise ValueError(f"size is a share of the pixels in (0, 0.5], got {size}")
+    if isinstance(edit, Gaussians):
+        kind, make = "incorporation", functools.partial(paste_object, donor=edit)
+    else:
+        kind, make = MAKERS[edit]
     # The count enters the seed, so that one seed gives different kinds of edit in each scene.
     rng = np.random.default_rng([seed, EDITS.index(kind), len(gaussians)])
     visibility = measure_visibility(gaussians, cameras, near=near)
@@ -122,17 +127,6 @@ MAKERS: dict[str, tuple[Edit, Callable[..., ProposedEdit]]] = {
     "optimisation": ("modification", optimise_region),
     "inpainting": ("removal", inpaint_region),
 }
-
-
-def _kind_and_maker(
-    edit: Edit | Program | Gaussians,
-) -> tuple[Edit, Callable[..., ProposedEdit]]:
-    """Kind of an edit, and the function that proposes one."""
-    if isinstance(edit, Gaussians):
-        return "incorporation", functools.partial(paste_object, donor=edit)
-    if edit not in MAKERS:
-        raise ValueError(f"edit must be an object or one of {', '.join(MAKERS)}, got {edit!r}")
-    return MAKERS[edit]
 
 
 def _checked(

@@ -4,10 +4,10 @@ import dataclasses
 
 import numpy as np
 import pytest
+from export import export
 from forensics_cases import BASE, PEAK, changed, classified, evidence_of, two_groups
 
 from gsc_jax import locate
-from gsc_jax.benchmark.export import export
 from gsc_jax.benchmark.metrics import auc, truth_mask
 from gsc_jax.benchmark.scenes import tampered_room
 from gsc_jax.forensics.calibration import LEVEL_BESIDE_TRACES

@@ -59,7 +59,7 @@ def adapt_density(
     local = np.exp(scene.log_scales[both]) * rng.normal(size=(len(both), 3))
     scene.means[both] += _rotated(scene.quats[both], local)
     scene.log_scales[both] -= np.log(SHRINK)
-    return _marked(len(scene), np.concatenate([new, both]))
+    return np.isin(np.arange(len(scene)), np.concatenate([new, both]))
 
 
 def relocate(scene: Gaussians, rng: np.random.Generator, added: int) -> np.ndarray:
@@ -80,7 +80,7 @@ def relocate(scene: Gaussians, rng: np.random.Generator, added: int) -> np.ndarr
     scene.logit_opacities[rows] = logit(np.clip(opacity, MIN_OPACITY, 1 - 1e-6))
     scene.log_scales[rows] += np.log(ratio)[:, None]
     copy_rows(scene, drawn, targets)
-    return _marked(len(scene), np.concatenate([rows, targets]))
+    return np.isin(np.arange(len(scene)), np.concatenate([rows, targets]))
 
 
 def shared_opacity(opacity: np.ndarray, copies: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -128,9 +128,3 @@ def _rotated(quats: Array, vectors: np.ndarray) -> np.ndarray:
         return vectors
     quats = np.where(np.any(quats, axis=1, keepdims=True), quats, IDENTITY_QUATERNION)
     return Rotation.from_quat(quats, scalar_first=True).apply(vectors)
-
-
-def _marked(count: int, rows: np.ndarray) -> np.ndarray:
-    marked = np.zeros(count, bool)
-    marked[rows] = True
-    return marked

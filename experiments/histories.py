@@ -8,6 +8,7 @@ import functools
 from collections.abc import Callable
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 from scipy.special import expit, logit
 
 from gsc_jax.benchmark.incorporation import transformed
@@ -22,8 +23,6 @@ MIN_OPACITY = 0.05
 
 def moved(gaussians: Gaussians, rng: np.random.Generator) -> Gaussians:
     """Turn, scale and shift the scene."""
-    from scipy.spatial.transform import Rotation
-
     turn = Rotation.from_quat(rng.normal(size=4)).as_matrix()
     return transformed(gaussians, turn, float(np.exp(rng.uniform(-1, 1))), rng.normal(size=3))
 
@@ -95,8 +94,6 @@ def _area(log_scales: np.ndarray) -> np.ndarray:
 
 def _axes(covariances: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Log scales (N, 3) and quaternions (N, 4) of covariances (N, 3, 3)."""
-    from scipy.spatial.transform import Rotation
-
     variances, axes = np.linalg.eigh(covariances)
     axes[np.linalg.det(axes) < 0, :, 0] *= -1
     quats = Rotation.from_matrix(axes).as_quat(scalar_first=True)

@@ -14,12 +14,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+import histories
 import jax
 import numpy as np
+from histories import OPACITY_STEP, logits, morton_order, unit_quats
 from scipy.special import expit
 
-from gsc_jax.benchmark import histories
-from gsc_jax.benchmark.histories import OPACITY_STEP, logits, morton_order, unit_quats
 from gsc_jax.benchmark.scenes import concatenate
 from gsc_jax.io.compressed import from_gsply
 from gsc_jax.render.spherical_harmonics import Y0

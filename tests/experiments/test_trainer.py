@@ -4,21 +4,8 @@ import dataclasses
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
-from scipy.special import expit
-from skimage.metrics import structural_similarity
-from strategies import random_scene
-
-import gsc_jax
-from gsc_jax.benchmark import capture as module
-from gsc_jax.benchmark.capture import (
-    CaptureConfig,
-    _forgotten,
-    capture,
-    initial_scene,
-    learning_rates,
-)
-from gsc_jax.benchmark.densification import (
+import trainer as module
+from densification import (
     MIN_OPACITY,
     RESET_OPACITY,
     adapt_density,
@@ -27,8 +14,16 @@ from gsc_jax.benchmark.densification import (
     reset_opacities,
     shared_opacity,
 )
+from scipy.spatial.transform import Rotation
+from scipy.special import expit
+from skimage.metrics import structural_similarity
+from strategies import random_scene
+from trainer import _forgotten, capture, initial_scene
+
+import gsc_jax
 from gsc_jax.benchmark.scenes import tampered_room
 from gsc_jax.benchmark.similarity import psnr, ssim
+from gsc_jax.benchmark.training import CaptureConfig, learning_rates
 from gsc_jax.render.spherical_harmonics import Y0
 
 ROOM = tampered_room(count=2_000, views=13, heldout=0, width=48, height=36)

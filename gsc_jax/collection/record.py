@@ -59,6 +59,17 @@ def read_rows(out: Path, configuration: str) -> Iterator[Row]:
         yield from _rows(part)
 
 
+def finished_scenes(out: Path, configuration: str) -> dict[str, list[str]]:
+    """Ids of the finished scenes by key, the one that was judged first; no transient errors."""
+    finished: dict[str, list[str]] = {}
+    for row in sorted(read_rows(out, configuration), key=lambda row: bool(row["duplicate_of"])):
+        # A copy counts only after its original, which a killed scan may not have judged.
+        if row["key"] and row["error_class"] not in TRANSIENT:
+            if not row["duplicate_of"] or row["key"] in finished:
+                finished.setdefault(row["key"], []).append(row["id"])
+    return finished
+
+
 def merge_rows(out: Path, configuration: str, keys: Mapping[str, str]) -> None:
     """Make one file of each part, and fill in duplicates.
 

@@ -4,7 +4,7 @@ import functools
 from typing import TYPE_CHECKING, Any
 
 from gsc_jax.collection.ledger import Claim, Ledger
-from gsc_jax.collection.record import TRANSIENT, read_rows
+from gsc_jax.collection.record import finished_scenes
 from gsc_jax.collection.settings import ScanSettings
 from gsc_jax.collection.worker import SceneWorker
 from gsc_jax.scene import InputError
@@ -37,12 +37,7 @@ def scan(dataset: "Dataset", *, settings: ScanSettings | None = None) -> "Datase
     ray = import_ray()
     settings = settings or ScanSettings()
     configuration = settings.digest()
-    finished: dict[str, list[str]] = {}
-    if settings.out is not None:
-        for row in read_rows(settings.out, configuration):
-            if row["key"] and row["error_class"] not in TRANSIENT:
-                first = not row["duplicate_of"]
-                finished.setdefault(row["key"], []).insert(0 if first else 1, row["id"])
+    finished = finished_scenes(settings.out, configuration) if settings.out else {}
     ledger = ray.remote(Ledger).options(num_cpus=0).remote(finished)
     return dataset.map(
         SceneWorker,

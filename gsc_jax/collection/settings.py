@@ -64,10 +64,10 @@ class ScanSettings:
     def digest(self) -> str:
         """Digest of all that determines the result of a scene, besides its content."""
         options = {k: v for k, v in self.command.items() if k not in WITHOUT_EFFECT}
-        networks = [path for path in options.get("detector", ()) if Path(path).exists()]
+        used = [*options.get("detector", ()), options.get("spec"), self.command.get("config")]
         facts = {
             "options": jsonable({k: v for k, v in options.items() if v is not None}),
-            "networks": [content_digest(Path(path)) for path in networks],
+            "files": [content_digest(Path(p)) for p in used if p and Path(p).exists()],
             "versions": {name: importlib.metadata.version(name) for name in PACKAGES},
             "classifier": hashlib.sha256(
                 files("gsc_jax.forensics").joinpath("classifier.npz").read_bytes()

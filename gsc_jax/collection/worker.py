@@ -5,22 +5,21 @@ the kernel for memory, and the actor starts another. While it judges a scene, an
 actor reads and identifies the next one, so that its content is in the page cache by then.
 """
 
-import contextlib
 import hashlib
 import importlib.metadata
-import multiprocessing
 import os
-import signal
 import tempfile
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import BrokenExecutor, ProcessPoolExecutor, ThreadPoolExecutor
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 from gsc_jax.collection.ledger import Claim
+from gsc_jax.collection.process import SceneProcess
 from gsc_jax.collection.record import Row, complete, write_row
 from gsc_jax.collection.settings import ScanSettings, content_digest
+from gsc_jax.io.files import GIB
 
 UNREAD = ""
 """Key of a scene that cannot be read."""
@@ -54,7 +53,7 @@ class SceneWorker:
         row["version"] = importlib.metadata.version("gsc_jax")
         with tempfile.TemporaryDirectory(prefix="gsc-jax-") as folder:
             try:
-                places = self._within_timeout(_fetched, entry, Path(folder))
+                places = self._within_timeout(_fetched, self._completed(entry), Path(folder))
                 row |= _identified(places)
             except Exception as error:  # missing, unreadable, or an address without an answer
                 row |= _failure(error, entry, type(error).__name__)
@@ -70,6 +69,11 @@ class SceneWorker:
             write_row(self._settings.out, row)
         return row
 
+    def _completed(self, entry: Row) -> Row:
+        """The entry with the cameras and masks that are given for all scenes."""
+        common = self._settings.command
+        return entry | {k: entry.get(k) or common.get(k) for k in ("cameras", "masks")}
+
     def _within_timeout(self, function: Callable[..., Any], *args: Any) -> Any:
         pool = ThreadPoolExecutor(1)
         try:
@@ -79,103 +83,24 @@ class SceneWorker:
 
     def _judged(self, row: Row, places: dict[str, Path | None], first: int) -> Row:
         """Judge a scene as often as allowed, and name it in errors as the manifest does."""
-        from gsc_jax.cli.options import Locate
-        from gsc_jax.collection.judge import judge
-
         settings, found = self._settings, {}
         reports = (settings.out or Path(tempfile.gettempdir())) / "reports"
-        given = {name: place for name, place in places.items() if place and name != "path"}
-        memory = settings.worker_bytes / 2**30
-        command = {**settings.command, **given, "memory": memory, "dry_run": False, "config": None}
+        command = {**settings.command, "memory": settings.worker_bytes / GIB, "dry_run": False}
         command |= {"scene": places["path"], "out": reports / row["key"][:32]}
+        command |= {name: places[name] for name in ("cameras", "masks")}
         above = settings.report_above if settings.out else None
         for attempt in range(first, settings.retries + 2):
             found = {"attempts": attempt}
             try:
                 with self._busy:
-                    return found | self._process.run(
-                        judge, Locate(**command), above, timeout=settings.timeout
-                    )
+                    return found | self._process.judge(command, above, timeout=settings.timeout)
             except TimeoutError:
                 text = f"took longer than {settings.timeout:g} s; allow more with --timeout"
                 found |= _failure(text, row, "TimeoutError")
-            except BrokenExecutor:
+            except EOFError:
                 text = "its process was killed, most likely for memory; use fewer --workers"
                 found |= _failure(text, row, "WorkerLost")
         return found or _failure("its worker was lost, with its node", row, "WorkerLost")
-
-
-class SceneProcess:
-    """A process that is started when it is needed, and killed if a call takes too long.
-
-    Args:
-        cores: Cores that it may use: the threads of XLA, NumPy and onnxruntime stay on them.
-        cache: Folder of the persistent compilation cache; None for none.
-    """
-
-    def __init__(self, cores: Sequence[int], cache: Path | None) -> None:
-        self._cores, self._cache = cores, cache
-        self._pool: ProcessPoolExecutor | None = None
-        self._pid = 0
-
-    def run(self, function: Callable[..., Row], *args: Any, timeout: float) -> Row:
-        """Call a function in the process; the time to start it does not count.
-
-        Raises:
-            TimeoutError: after `timeout` seconds.
-            BrokenExecutor: if the process died.
-        """
-        try:
-            if self._pool is None:
-                self._start()
-            assert self._pool is not None
-            return self._pool.submit(function, *args).result(timeout)
-        except (TimeoutError, BrokenExecutor):
-            self.kill()
-            raise
-
-    def kill(self) -> None:
-        """Kill the process; the next call starts another."""
-        if self._pool is None:
-            return
-        with contextlib.suppress(ProcessLookupError):
-            os.kill(self._pid, signal.SIGKILL)
-        self._pool.shutdown(wait=True, cancel_futures=True)
-        self._pool = None
-
-    def _start(self) -> None:
-        context = multiprocessing.get_context("spawn")
-        self._pool = ProcessPoolExecutor(1, context, _begin, (self._cache,))
-        with _on_cores(self._cores):  # the process inherits them
-            started = self._pool.submit(os.getpid)
-        self._pid = started.result()
-
-
-@contextlib.contextmanager
-def _on_cores(cores: Sequence[int]) -> Iterator[None]:
-    if not hasattr(os, "sched_setaffinity"):  # Linux only
-        yield
-        return
-    before = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, cores)
-    try:
-        yield
-    finally:
-        os.sched_setaffinity(0, before)
-
-
-def _begin(cache: Path | None) -> None:
-    """Prepare the process: it ends with its actor, and the kernel kills it rather than the actor."""
-    from gsc_jax.cli.cache import enable_compilation_cache
-
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-    threading.Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()
-    with contextlib.suppress(OSError):
-        Path("/proc/self/oom_score_adj").write_text("1000", "ascii")
-    if cache is not None:
-        enable_compilation_cache(cache)
-    import gsc_jax.collection.judge  # noqa: F401
 
 
 def _cores(slot: int, count: int) -> list[int]:
@@ -190,8 +115,8 @@ def _fetched(entry: Row, folder: Path) -> dict[str, Path | None]:
     return {name: _local(entry.get(name), folder / name) for name in ("path", "cameras", "masks")}
 
 
-def _local(place: str | None, folder: Path) -> Path | None:
-    if not place or "://" not in place:
+def _local(place: str | Path | None, folder: Path) -> Path | None:
+    if not isinstance(place, str) or "://" not in place:
         return Path(place) if place else None
     import fsspec
 

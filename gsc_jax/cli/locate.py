@@ -27,7 +27,7 @@ from gsc_jax.cli.ownership import refuse_blocked, refuse_foreign, refuse_overlap
 from gsc_jax.cli.report.wording import Located
 from gsc_jax.cli.scene_input import check_numbers, choose_cameras, naming, read_scene
 from gsc_jax.cli.staging import BY_CAMERA, FILES, replacing, views_of, writing_to
-from gsc_jax.estimators.protocol import Estimator
+from gsc_jax.estimators.protocol import Estimator, Prior
 from gsc_jax.evidence.detector import Detector
 from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.evidence.storage import ArrayStore
@@ -101,7 +101,12 @@ def run_locate(options: Locate, *, monitor: Monitor | None = None) -> Located:
     monitor = monitor or Monitor()
     with monitor.stage("load"):
         inputs = read_inputs(options, monitor=monitor)
-    scene, cameras = inputs.scene, inputs.cameras
+    return locate_and_write(inputs, prior=inputs.attributes, monitor=monitor)
+
+
+def locate_and_write(inputs: Inputs, *, prior: Prior | bool, monitor: Monitor) -> Located:
+    """Find the tampered Gaussians of validated input, with a prior as of `locate`, and write."""
+    options, scene, cameras = inputs.options, inputs.scene, inputs.cameras
     identity = _identity(inputs)
     with replacing(options.out, identity=identity) as folder:
         store = ArrayStore(views_of(folder), max_bytes=memory_limit(options.memory) // EXPANDED)
@@ -111,7 +116,7 @@ def run_locate(options: Locate, *, monitor: Monitor | None = None) -> Located:
             inputs.detector,
             method=options.method,
             config=inputs.estimator,
-            prior=inputs.attributes,
+            prior=prior,
             monitor=monitor,
             store=store,
         )
@@ -126,7 +131,7 @@ def run_locate(options: Locate, *, monitor: Monitor | None = None) -> Located:
             warnings=[*inputs.warnings, *result.warnings],
             visible_share=float(np.mean([mask.mean() for mask in result.masks.values()])),
         )
-        write_report(folder, dataclasses.asdict(inputs.options), located, monitor=monitor)
+        write_report(folder, dataclasses.asdict(options), located, monitor=monitor)
     return dataclasses.replace(located, seconds=monitor.elapsed())
 
 

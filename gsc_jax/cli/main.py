@@ -7,7 +7,6 @@ stdout; progress and, at the end, warnings go to stderr.
 
 import argparse
 import contextlib
-import dataclasses
 import errno
 import functools
 import importlib.metadata
@@ -17,6 +16,7 @@ import os
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -32,14 +32,16 @@ from gsc_jax.cli.options import Demo, Evaluate, Locate, Render, Tamper, View
 from gsc_jax.cli.progress import Bars
 from gsc_jax.cli.render import run_render
 from gsc_jax.cli.report.wording import summary
+from gsc_jax.cli.scan import Scan, run_scan
 from gsc_jax.cli.tamper import run_tamper
 from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.io.validation import printable
 from gsc_jax.scene import InputError
 
-Command = Locate | Render | Tamper | Evaluate | View | Demo
+Command = Locate | Scan | Render | Tamper | Evaluate | View | Demo
 COMMANDS: dict[str, type] = {
     "locate": Locate,
+    "scan": Scan,
     "render": Render,
     "tamper": Tamper,
     "evaluate": Evaluate,
@@ -98,11 +100,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def parse(argv: Sequence[str]) -> Command:
-    """Parse the arguments; with --config, the file supplies the defaults of `locate`."""
+    """Parse the arguments; with --config, the file supplies the defaults of `locate` and `scan`."""
     finder = argparse.ArgumentParser(prog="gsc-jax locate", add_help=False, allow_abbrev=False)
     finder.add_argument("--config", type=Path)
     path = finder.parse_known_args(argv)[0].config
-    if path is None or argv[0] != "locate":
+    if path is None or argv[0] not in ("locate", "scan"):
         return _parse(argv)
     file = read_config_file(path)
     command = _parse(argv, file.options())
@@ -116,7 +118,10 @@ def _parse(argv: Sequence[str], default: Locate | None = None) -> Any:
     brief = not any(word in COMMANDS for word in argv)  # the list of commands: a line each
     kinds = []
     for name, kind in COMMANDS.items():
-        settings: dict[str, Any] = {"default": default} if default and kind is Locate else {}
+        settings: dict[str, Any] = {}
+        if default and issubclass(kind, Locate):
+            known = {field.name: getattr(default, field.name) for field in fields(Locate)}
+            settings["default"] = kind(**known)
         if brief:
             settings["description"] = (kind.__doc__ or "").partition("\n")[0]
         kinds.append(Annotated[kind, tyro.conf.subcommand(name=name, **settings)])
@@ -182,6 +187,8 @@ def _answer(command: Command, monitor: Monitor) -> Answer:
             from gsc_jax.cli.viewer.server import run_view
 
             return run_view(command, monitor=monitor, say=_say)
+        case Scan():
+            return run_scan(command, monitor=monitor)
         case Locate(dry_run=True):
             return dry_run(command, monitor=monitor)
         case Locate():
@@ -222,7 +229,7 @@ def _is_outside(error: OSError, command: Command | None) -> bool:
 def _paths(command: Command) -> list[Path]:
     """All paths among the options."""
     values: list[Any] = []
-    for field in dataclasses.fields(command):
+    for field in fields(command):
         value = getattr(command, field.name)
         values += value if isinstance(value, tuple) else [value]
     return [value for value in values if isinstance(value, Path)]

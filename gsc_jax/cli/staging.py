@@ -78,7 +78,7 @@ def replacing(
     created = [place for place in (out, *out.parents) if not place.exists()]
     work = out / UNFINISHED
     try:
-        with _locked(work):
+        with locked(work):
             with writing_to(out):
                 _begin(work, out, identity)
             try:
@@ -118,7 +118,7 @@ def _refuse_links(work: Path) -> None:
 
 
 @contextlib.contextmanager
-def _locked(work: Path) -> Iterator[None]:
+def locked(work: Path) -> Iterator[None]:
     """Hold the lock of a folder of results; the system releases that of a process that ends."""
     lock = filelock.FileLock(work / LOCK, timeout=0)
     with writing_to(work.parent):

@@ -1,0 +1,170 @@
+"""`gsc-jax scan`: a collection of scenes to a Parquet dataset and a page, on a Ray cluster."""
+
+import contextlib
+import dataclasses
+import logging
+import os
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from gsc_jax.cli.cache import cache_folder
+from gsc_jax.cli.options import Locate, arg
+from gsc_jax.cli.ownership import UNFINISHED, refuse_blocked, refuse_foreign_file, refuse_overlap
+from gsc_jax.cli.report.wording import share
+from gsc_jax.cli.staging import locked
+from gsc_jax.evidence.monitor import Monitor
+from gsc_jax.io.files import atomic
+
+PAGE, RANKED = "collection.html", 20
+"""Name of the page, and scenes in the table on the terminal."""
+MAX_BLOCKS = 100_000
+"""Units of work of Ray: a scene, or several of them in a larger collection."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Scan(Locate):
+    """Judge every scene of a collection, on all cores or on a Ray cluster.
+
+    for example:
+      gsc-jax scan models/ --out scanned
+      gsc-jax scan manifest.csv --out scanned --report-above 0.65
+
+    Needs the extra `cluster`. The options of `locate` hold for every
+    scene. The same command continues a scan that was killed.
+
+    written to the folder of --out:
+      collection.html          start here
+      scenes/                  Parquet dataset, a row per scene
+      reports/                 folders of locate, by --report-above
+
+    Attributes:
+        scene: A folder, a quoted glob, a text file with a path or address per line, or a .csv or
+            .parquet with a column path, and optionally id, cameras, masks and others.
+        out: Folder for the results, created if missing; all machines of a cluster share it.
+        address: Address of a running Ray cluster. By default one is started on this machine.
+        workers: Scenes that are judged at the same time.
+        cpus: Cores of a worker.
+        timeout: Seconds that a scene may take.
+        retries: How often a scene is tried again after a timeout or the loss of its process.
+        report_above: Scene probability from which the folder of `locate` is written, too: 0 for
+            all scenes.
+        memory: Memory in GiB of a worker; a file that expands to more is refused.
+    """
+
+    scene: Annotated[tyro.conf.Positional[Path], arg("SOURCE")]
+    out: Annotated[Path, arg("DIR")]
+    address: Annotated[str | None, arg("HOST:PORT", "local")] = None
+    workers: Annotated[int | None, arg("N", "one per --cpus cores")] = None
+    cpus: Annotated[int, arg("N")] = 1
+    timeout: Annotated[float, arg("SECONDS")] = 3600.0
+    retries: Annotated[int, arg("N")] = 1
+    report_above: Annotated[float | None, arg("PROBABILITY", "no folders")] = None
+    memory: Annotated[float | None, arg("GIB", "its share of half of the machine's")] = None
+
+
+def run_scan(options: Scan, *, monitor: Monitor) -> tuple[list[str], list[str]]:
+    """Scan a collection and write the results; lines to print, and warnings."""
+    from gsc_jax.collection.manifest import read_manifest
+    from gsc_jax.collection.page import MARK, collection_page
+    from gsc_jax.collection.record import merge_rows, read_rows
+    from gsc_jax.collection.scan import import_ray
+
+    ray, out = import_ray(), options.out
+    entries = read_manifest(options.scene)
+    written = (PAGE, "scenes", "reports")
+    refuse_overlap(out, [options.scene], written=written)
+    refuse_blocked(out, [PAGE, "scenes/any", "reports/any", f"{UNFINISHED}/any"])
+    refuse_foreign_file(out / PAGE, MARK)
+    settings = _settings(options, workers=options.workers or 1)
+    if options.dry_run:
+        text = f"Dry run: {len(entries):,} scenes, configuration {settings.digest()[:16]}."
+        return [text], []
+    with locked(out / UNFINISHED), _connected(ray, options):
+        cores = int(ray.cluster_resources().get("CPU", 1))
+        workers = min(options.workers or max(cores // options.cpus, 1), len(entries))
+        settings = _settings(options, workers=workers)
+        done = _scanned(ray, entries, settings, monitor)
+        merge_rows(out, settings.digest(), {row["id"]: row["key"] for row in done})
+        rows = list(read_rows(out, settings.digest()))
+        with atomic(out / PAGE) as temporary:
+            temporary.write_text(collection_page(rows), encoding="utf-8", errors="backslashreplace")
+    with contextlib.suppress(OSError):
+        (out / UNFINISHED).rmdir()
+    ids = {entry["id"] for entry in entries}
+    return _summary([row for row in rows if row["id"] in ids], done, options, monitor), []
+
+
+def _settings(options: Scan, *, workers: int) -> Any:
+    from gsc_jax.collection.settings import ScanSettings
+
+    command = {field.name: getattr(options, field.name) for field in dataclasses.fields(Locate)}
+    command |= {k: v.absolute() for k, v in command.items() if isinstance(v, Path)}
+    command["detector"] = tuple(p.absolute() if p.exists() else p for p in options.detector)
+    return ScanSettings(
+        command={k: v for k, v in command.items() if k not in ("scene", "out", "memory")},
+        out=options.out.absolute(),
+        workers=workers,
+        cache=None if options.no_cache else cache_folder(),
+        **{k: getattr(options, k) for k in ("cpus", "memory", "timeout", "retries", "report_above")},
+    )
+
+
+@contextlib.contextmanager
+def _connected(ray: Any, options: Scan) -> Iterator[None]:
+    """Connect to a cluster, or start one; nothing of one that this program did not start ends."""
+    if ray.is_initialized():
+        yield
+        return
+    cores = (options.workers or 0) * options.cpus or len(os.sched_getaffinity(0))
+    ray.init(
+        address=options.address or "local",
+        num_cpus=None if options.address else cores,
+        include_dashboard=None if options.address else False,
+        log_to_driver=False,
+        logging_level=logging.ERROR,
+    )
+    try:
+        yield
+    finally:
+        ray.shutdown()
+
+
+def _scanned(ray: Any, entries: Sequence[Any], settings: Any, monitor: Monitor) -> list[Any]:
+    from gsc_jax.collection.scan import scan
+
+    logging.getLogger("ray.data").setLevel(logging.ERROR)
+    ray.data.DataContext.get_current().enable_progress_bars = False
+    blocks = min(len(entries), MAX_BLOCKS)
+    dataset = ray.data.from_items(list(entries), override_num_blocks=blocks)
+    rows = []
+    monitor.progress("scenes", 0, len(entries))
+    for row in scan(dataset, settings=settings).iter_rows():
+        rows.append({name: row[name] for name in ("id", "key", "status", "error_class")})
+        monitor.progress("scenes", len(rows), len(entries))
+    return rows
+
+
+def _summary(
+    rows: Sequence[Mapping[str, Any]], done: Sequence[Any], options: Scan, monitor: Monitor
+) -> list[str]:
+    """The most suspicious scenes, counts, errors by class, and where the results are."""
+    ranked = [row for row in rows if row["scene_probability"] is not None]
+    ranked.sort(key=lambda row: (-row["scene_probability"], row["id"]))
+    lines = [f"{'probability':>11} {'labelled':>9} {'Gaussians':>11}  scene"]
+    for row in ranked[:RANKED]:
+        cells = f"{row['scene_probability']:>11.3f} {share(row['labelled_share']):>9}"
+        copy = f" (copy of {row['duplicate_of']})" if row["duplicate_of"] else ""
+        traces = f" [{', '.join(row['traces'])}]" if row["traces"] else ""
+        lines.append(f"{cells} {row['gaussians']:>11,}  {row['id']}{traces}{copy}")
+    counts = Counter(row["status"] for row in done)
+    shown = ", ".join(f"{number:,} {status}" for status, number in sorted(counts.items()))
+    lines.append(f"scenes   {len(rows):,} ({shown}) in {monitor.elapsed():.1f} s")
+    failed = [row for row in rows if row["error_class"]]
+    for kind, number in Counter(row["error_class"] for row in failed).most_common():
+        first = next(row["error"] for row in failed if row["error_class"] == kind)
+        lines.append(f"errors   {kind}: {number:,}, such as {first}")
+    return [*lines, f"rows     {options.out / 'scenes'}", f"page     {options.out / PAGE}"]

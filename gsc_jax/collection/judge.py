@@ -1,0 +1,99 @@
+"""One scene to one row: what `gsc-jax locate` finds in it, without the views unless needed.
+
+Without a 2D detector, the views only show the result, so that they are rendered for a report only.
+This module runs in a process that may be killed at any time; see `process`.
+"""
+
+import contextlib
+import hashlib
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+from gsc_jax.cli.locate import Inputs, locate_and_write, read_inputs
+from gsc_jax.cli.options import Locate
+from gsc_jax.collection.record import Row
+from gsc_jax.estimators.protocol import Finding, Prior
+from gsc_jax.evidence.monitor import Monitor
+from gsc_jax.forensics.evidence import ForensicEvidence, estimate_from_attributes, forensic_evidence
+from gsc_jax.io.validation import brief
+from gsc_jax.locate import Result, locate
+from gsc_jax.render.visibility import check_views
+from gsc_jax.scene import InputError
+
+
+def judge(options: Locate, report_above: float | None) -> Row:
+    """Judge a scene; an error becomes the columns `error_class` and `error` of the row.
+
+    Args:
+        options: Those of `gsc-jax locate`; `out` is the folder of the report.
+        report_above: Scene probability from which that folder is written; None for never.
+
+    Returns:
+        The columns of the row that the content of the scene determines, with seconds and memory.
+    """
+    with contextlib.suppress(OSError):  # Linux: the peak of this scene and not of earlier ones
+        Path("/proc/self/clear_refs").write_text("5", "ascii")
+    monitor, row = Monitor(), {}
+    try:
+        with warnings.catch_warnings(record=True) as raised:
+            row = _judged(options, report_above, monitor)
+        row["warnings"] += [str(warning.message) for warning in raised]
+    except Exception as error:  # a bad scene is a row, not the end of the scan
+        text = str(error) if isinstance(error, InputError) else brief(error)
+        row = {"error_class": type(error).__name__, "error": " ".join(text.split())}
+    stages = [{"name": name, **stage} for name, stage in monitor.summary().items()]
+    return {**row, "stages": stages, "seconds": monitor.elapsed()}
+
+
+def _judged(options: Locate, report_above: float | None, monitor: Monitor) -> Row:
+    with monitor.stage("load"):
+        inputs = read_inputs(options, monitor=monitor)
+    found, prior, notes = _found(inputs, monitor)
+    scene, labelled = inputs.scene, int(found.labels.sum())
+    row: Row = {
+        "gaussians": len(scene.rows),
+        "scene_probability": found.verdict,
+        "labelled": labelled,
+        "labelled_share": labelled / len(scene.rows),
+        "traces": [trace.name for trace in getattr(prior, "traces", ()) if trace.found],
+        "warnings": [*inputs.warnings, *notes],
+        "result_sha256": result_digest(scene.expand(found.tamper), scene.expand(found.labels)),
+    }
+    probability = labelled > 0 if found.verdict is None else found.verdict
+    if report_above is not None and probability >= report_above:
+        given = prior if isinstance(prior, ForensicEvidence) else inputs.attributes
+        # The maps of a network come from its cache; the attributes are those already computed.
+        locate_and_write(inputs, prior=given, monitor=monitor)
+        row["report"] = f"{options.out.name}/report.html"
+    return row
+
+
+def _found(inputs: Inputs, monitor: Monitor) -> tuple[Finding | Result, Prior | None, list[str]]:
+    """The finding of a scene, its prior, and the warnings that `locate` gives."""
+    gaussians, estimator = inputs.scene.gaussians, inputs.estimator
+    if inputs.detector is not None:
+        result = locate(
+            gaussians,
+            inputs.cameras,
+            inputs.detector,
+            config=estimator,
+            prior=inputs.attributes,
+            monitor=monitor,
+        )
+        return result, result.prior, result.warnings
+    with monitor.stage("attributes"):
+        prior = forensic_evidence(gaussians)
+        finding = estimate_from_attributes(
+            prior, threshold=estimator.threshold, min_verdict=estimator.min_verdict
+        )
+    notes = check_views(gaussians, inputs.cameras, near=estimator.near)
+    return finding, prior, [*notes, *finding.warnings]
+
+
+def result_digest(tamper: np.ndarray, labels: np.ndarray) -> str:
+    """SHA-256 of scores and labels by row of the file, as in tamper.npy and labels.npy."""
+    digest = hashlib.sha256(np.ascontiguousarray(tamper, np.float32).tobytes())
+    digest.update(np.ascontiguousarray(labels, bool).tobytes())
+    return digest.hexdigest()

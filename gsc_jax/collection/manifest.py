@@ -1,0 +1,107 @@
+"""The scenes of a collection: a folder, a glob, a text file, or a CSV or Parquet manifest."""
+
+import glob
+from collections.abc import Sequence
+from pathlib import Path
+
+from gsc_jax.collection.record import RESERVED
+from gsc_jax.io.compressed import SUFFIXES
+from gsc_jax.io.files import existing_file
+from gsc_jax.io.validation import brief
+from gsc_jax.scene import InputError
+
+Entry = dict[str, str | None]
+"""`id`, `path`, `cameras`, `masks`, and further columns, which a scan keeps."""
+GIVEN = ("id", "path", "cameras", "masks")
+MANIFESTS = (".csv", ".parquet", ".pq")
+LISTS = (".txt", ".lst", ".list")
+
+
+def read_manifest(source: Path) -> list[Entry]:
+    """List the scenes of a source.
+
+    Args:
+        source: A folder, searched to any depth; a glob; a text file with a path or address per
+            line; or a .csv or .parquet with a column `path`, optionally `id`, `cameras` and
+            `masks`, and any others. Relative paths are relative to the manifest.
+
+    Returns:
+        An entry per scene, sorted by id for a folder and a glob.
+
+    Raises:
+        InputError: if there is no scene, two have one id, or a manifest cannot be read.
+    """
+    base, suffix = source.parent, source.suffix.lower()
+    if source.is_dir():
+        entries = _files(sorted(source.rglob("*")), source)
+    elif glob.has_magic(str(source)):
+        entries = _files(sorted(Path(found) for found in glob.glob(str(source), recursive=True)))
+    elif suffix in MANIFESTS:
+        entries = [_entry(row, base, source) for row in _rows(source)]
+    elif suffix in LISTS:
+        lines = existing_file(source, expected="a list").read_text("utf-8", "surrogateescape")
+        entries = [_entry({"path": line.strip()}, base, source) for line in lines.splitlines()]
+    else:
+        existing_file(source, expected="a folder, a glob, a list (.txt), a .csv or a .parquet")
+        entries = _files([source])
+    entries = [entry for entry in entries if entry["path"]]
+    _check(source, entries)
+    return entries
+
+
+def _files(paths: Sequence[Path], root: Path | None = None) -> list[Entry]:
+    scenes = [path for path in paths if path.suffix.lower() in (".ply", *SUFFIXES)]
+    return [
+        {
+            "id": str(path.relative_to(root) if root else path),
+            "path": str(path.absolute()),
+            "cameras": None,
+            "masks": None,
+        }
+        for path in scenes
+        if path.is_file()
+    ]
+
+
+def _rows(source: Path) -> list[dict[str, str | None]]:
+    from pyarrow import csv, parquet
+
+    existing_file(source, expected="a manifest")
+    try:
+        if source.suffix.lower() != ".csv":
+            table = parquet.read_table(source)
+        else:  # an id 007 stays as it is
+            names = csv.open_csv(source).schema.names
+            options = csv.ConvertOptions(column_types=dict.fromkeys(names, "string"))
+            table = csv.read_csv(source, convert_options=options)
+    except Exception as error:  # a damaged file may raise anything
+        raise InputError(f"{source}: damaged ({brief(error)}), expected a manifest") from error
+    if "path" not in table.column_names:
+        found = ", ".join(table.column_names)
+        raise InputError(f"{source}: expected a column `path`, found {found}; rename the column")
+    if taken := sorted(set(table.column_names) & set(RESERVED) - set(GIVEN)):
+        raise InputError(f"{source}: the column {taken[0]!r} is one of the results; rename it")
+    rows = table.to_pylist()
+    return [{k: None if v in (None, "") else str(v) for k, v in row.items()} for row in rows]
+
+
+def _entry(row: Entry, base: Path, source: Path) -> Entry:
+    """An entry with absolute paths, and the path as written as its id where none is given."""
+    if not row.get("path") and len(row) > 1:
+        raise InputError(f"{source}: a row has no path; complete or remove it")
+    places = {name: _absolute(row.get(name), base) for name in ("path", "cameras", "masks")}
+    return {**row, **places, "id": row.get("id") or row["path"]}
+
+
+def _absolute(place: str | None, base: Path) -> str | None:
+    return place if not place or "://" in place else str((base / place).absolute())
+
+
+def _check(source: Path, entries: Sequence[Entry]) -> None:
+    if not entries:
+        raise InputError(f"{source}: holds no scene, expected .ply or compressed scenes")
+    seen: set[str | None] = set()
+    for entry in entries:
+        if entry["id"] in seen:
+            raise InputError(f"{source}: two scenes have the id {entry['id']!r}; give each its own")
+        seen.add(entry["id"])

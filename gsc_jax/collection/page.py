@@ -1,0 +1,58 @@
+"""collection.html: a table of all scenes of a scan that sorts, filters and opens 100,000 rows."""
+
+import base64
+import hashlib
+from collections import Counter
+from collections.abc import Sequence
+from importlib.resources import files
+
+import jinja2
+from markupsafe import Markup
+
+from gsc_jax.cli.report.wording import MIN_EDITED
+from gsc_jax.collection.record import Row
+
+MARK = "<!-- gsc_jax collection -->"
+SHOWN = ("id", "scene_probability", "labelled_share", "gaussians", "bytes", "seconds")
+"""Columns of the page, in its order; then traces, error class, error, report and duplicate of."""
+
+
+def collection_page(rows: Sequence[Row]) -> str:
+    """Render the page of a collection, complete in one file but for the reports that it links to.
+
+    The data are compact JSON, and the script makes elements for the visible rows only. Names and
+    errors are foreign text, which becomes text of elements and never markup.
+    """
+    script = _text("collection.js")
+    data = [
+        [
+            *(_rounded(row[name]) for name in SHOWN),
+            " ".join(row["traces"] or ()),
+            row["error_class"] or "",
+            row["error"] or "",
+            row["report"] or "",
+            row["duplicate_of"] or "",
+        ]
+        for row in rows
+    ]
+    probabilities = [row["scene_probability"] for row in rows if row["scene_probability"] is not None]
+    bins = Counter(min(int(10 * probability), 9) for probability in probabilities)
+    return jinja2.Environment(autoescape=True).from_string(_text("collection.html")).render(
+        mark=Markup(MARK),
+        count=len(rows),
+        edited=sum(probability >= MIN_EDITED for probability in probabilities),
+        bins=[bins[index] for index in range(10)],
+        errors=Counter(row["error_class"] for row in rows if row["error_class"]).most_common(),
+        traces=Counter(name for row in rows for name in row["traces"] or ()).most_common(),
+        data=data,
+        script=Markup(script),
+        script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
+    )
+
+
+def _rounded(value: object) -> object:
+    return float(f"{value:.4g}") if isinstance(value, float) else value
+
+
+def _text(name: str) -> str:
+    return files("gsc_jax.collection").joinpath(name).read_text(encoding="utf-8")

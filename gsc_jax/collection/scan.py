@@ -1,0 +1,78 @@
+"""The scan: a Ray dataset of scenes to one of rows, with an actor per worker."""
+
+import functools
+from typing import TYPE_CHECKING, Any
+
+from gsc_jax.collection.ledger import Claim, Ledger
+from gsc_jax.collection.record import finished_scenes
+from gsc_jax.collection.settings import ScanSettings
+from gsc_jax.collection.worker import SceneWorker
+from gsc_jax.scene import InputError
+
+if TYPE_CHECKING:
+    from ray.data import Dataset
+
+AHEAD = 2
+"""Scenes in an actor: one is judged while the next one is read."""
+
+
+def scan(dataset: "Dataset", *, settings: ScanSettings | None = None) -> "Dataset":
+    """Judge the scenes of a dataset, each as `gsc-jax locate` does.
+
+    Args:
+        dataset: A row per scene: `path`, a path or an address that fsspec opens; optionally `id`,
+            `cameras` and `masks`; other columns are kept. A block is the unit of work of Ray:
+            `dataset.repartition` to blocks of few rows.
+        settings: Settings of the scan.
+
+    Returns:
+        A lazy dataset with a row per scene, in any order: see docs/scale.md for its columns. A
+        scene that cannot be judged has an `error_class` and an `error`, a copy of another scene
+        names that in `duplicate_of`, and one that an earlier scan into the same folder has judged
+        has the `status` "finished".
+
+    Raises:
+        InputError: if Ray is missing.
+    """
+    ray = import_ray()
+    settings = settings or ScanSettings()
+    configuration = settings.digest()
+    finished = finished_scenes(settings.out, configuration) if settings.out else {}
+    ledger = ray.remote(Ledger).options(num_cpus=0).remote(finished)
+    return dataset.map(
+        SceneWorker,
+        fn_constructor_kwargs={
+            "settings": settings,
+            "configuration": configuration,
+            "claim": functools.partial(_claim, ledger),
+            "slot": functools.partial(_slot, ledger),
+        },
+        compute=ray.data.ActorPoolStrategy(
+            size=settings.workers,
+            max_tasks_in_flight_per_actor=AHEAD,
+            max_concurrent_calls_per_actor=AHEAD,
+            enable_true_multi_threading=True,
+        ),
+        num_cpus=settings.cpus,
+        memory=settings.worker_bytes if settings.memory else None,
+    )
+
+
+def import_ray() -> Any:
+    """Ray with its datasets, or an InputError with the remedy."""
+    try:
+        import ray
+        import ray.data
+    except ImportError as error:
+        raise InputError("scan: needs Ray: pip install 'gsc_jax[cluster]'") from error
+    return ray
+
+
+def _claim(ledger: Any, key: str, scene: str) -> Claim:
+    return import_ray().get(ledger.claim.remote(key, scene))
+
+
+def _slot(ledger: Any) -> int:
+    ray = import_ray()
+    context = ray.get_runtime_context()
+    return ray.get(ledger.slot.remote(context.get_node_id(), context.get_actor_id()))

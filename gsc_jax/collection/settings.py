@@ -1,0 +1,86 @@
+"""What a scan does with each scene, and the digest that tells two configurations apart."""
+
+import dataclasses
+import hashlib
+import importlib.metadata
+import json
+import math
+from collections.abc import Mapping
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from gsc_jax.cli.outputs import PACKAGES, jsonable
+from gsc_jax.io.files import GIB, memory_limit
+from gsc_jax.scene import InputError
+
+WITHOUT_EFFECT = ("scene", "out", "config", "dry_run", "memory", "no_cache", "cameras", "masks")
+"""Options that do not change the result of a scene; cameras and masks count by their content."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ScanSettings:
+    """Settings of a scan.
+
+    Attributes:
+        command: Options of `gsc-jax locate` for every scene, by the names of their fields.
+        out: Folder that all machines share: each finished scene is written there at once. None
+            writes nothing.
+        workers: Scenes that are judged at the same time, each in a process of its own.
+        cpus: Cores of a worker.
+        memory: Memory of a worker in GiB: a file that expands to more is refused, and Ray starts
+            no more workers than fit. None is an equal share of half of the machine.
+        timeout: Seconds after which the process of a scene is killed.
+        retries: How often a scene is tried again after a timeout, a killed process or a lost node.
+        report_above: Scene probability from which the folder of `locate` is written, too; None for
+            no scene, 0 for all.
+        cache: Folder of the persistent compilation cache; None for none.
+    """
+
+    command: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    out: Path | None = None
+    workers: int = 1
+    cpus: int = 1
+    memory: float | None = None
+    timeout: float = 3600.0
+    retries: int = 1
+    report_above: float | None = None
+    cache: Path | None = None
+
+    def __post_init__(self) -> None:
+        for name, least in {"workers": 1, "cpus": 1, "timeout": 1e-3, "retries": 0}.items():
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value >= least):
+                raise InputError(f"{name} {value:g}: expected a number of at least {least:g}")
+        if self.report_above is not None and not 0 <= self.report_above <= 1:
+            raise InputError(f"report_above {self.report_above:g}: expected a probability")
+        memory_limit(self.memory)
+
+    @property
+    def worker_bytes(self) -> int:
+        """Memory of a worker in bytes."""
+        return int(self.memory * GIB) if self.memory else memory_limit() // self.workers
+
+    def digest(self) -> str:
+        """Digest of all that determines the result of a scene, besides its content."""
+        options = {k: v for k, v in self.command.items() if k not in WITHOUT_EFFECT}
+        used = [*options.get("detector", ()), options.get("spec"), self.command.get("config")]
+        facts = {
+            "options": jsonable({k: v for k, v in options.items() if v is not None}),
+            "files": [content_digest(Path(p)) for p in used if p and Path(p).exists()],
+            "versions": {name: importlib.metadata.version(name) for name in PACKAGES},
+            "classifier": hashlib.sha256(
+                files("gsc_jax.forensics").joinpath("classifier.npz").read_bytes()
+            ).hexdigest(),
+        }
+        return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
+
+
+def content_digest(path: Path) -> str:
+    """SHA-256 of a file, or of the names and digests of all files of a folder."""
+    if not path.is_dir():
+        with path.open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    inside = sorted(place for place in path.rglob("*") if place.is_file())
+    lines = [f"{place.relative_to(path)} {content_digest(place)}" for place in inside]
+    return hashlib.sha256("\n".join(lines).encode("utf-8", "surrogateescape")).hexdigest()

@@ -1,0 +1,256 @@
+"""Scans on a real local Ray cluster of two workers: results, failures, kills and continuations."""
+
+import contextlib
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_case import refused, run
+
+from gsc_jax.benchmark.scenes import make_room
+from gsc_jax.cli.staging import UNFINISHED, locked
+from gsc_jax.io.ply import save_ply
+
+ray = pytest.importorskip("ray", reason="needs the extra `cluster`, which has no wheel here")
+pytest.importorskip("ray.data", reason="needs the extra `cluster`")
+pytestmark = [
+    pytest.mark.slow,
+    # Ray, its dependencies and the sockets of its processes, none of them ours.
+    pytest.mark.filterwarnings("ignore"),
+]
+
+from gsc_jax.collection import ScanSettings, scan
+from gsc_jax.collection.judge import result_digest
+
+COUNT = 1_500
+SECONDS = 90
+
+
+@pytest.fixture(scope="module", autouse=True)
+def cluster() -> Iterator[None]:
+    """A local cluster, on which all scans of this file run."""
+    paths = os.pathsep.join([str(Path(__file__).resolve().parents[2]), *sys.path])
+    ray.init(
+        address="local",
+        num_cpus=2,
+        include_dashboard=False,
+        log_to_driver=False,
+        runtime_env={"env_vars": {"PYTHONPATH": paths}},
+    )
+    yield
+    ray.shutdown()
+
+
+def scene(path: Path, seed: int, count: int = COUNT) -> Path:
+    path.parent.mkdir(exist_ok=True, parents=True)
+    save_ply(path, make_room(seed=seed, count=count))
+    return path
+
+
+def rows_of(out: Path) -> dict[str, dict]:
+    """Rows of a scan by id, as any program reads the dataset."""
+    from pyarrow import dataset
+
+    table = dataset.dataset(out / "scenes", partitioning="hive").to_table()
+    return {row["id"]: row for row in table.to_pylist()}
+
+
+def scanned(source: Path, out: Path, *options: object) -> dict[str, dict]:
+    answer = run("scan", source, "--out", out, "--workers", 2, *options)
+    assert answer.code == 0, answer.err
+    assert (out / "collection.html").is_file()
+    return rows_of(out)
+
+
+@pytest.fixture(scope="module")
+def collection(tmp_path_factory) -> Path:
+    """Eight scenes, two of them copies, and two broken files: a fifth."""
+    folder = tmp_path_factory.mktemp("collection")
+    for seed in range(6):
+        scene(folder / f"sub{seed % 2}" / f"{seed}.ply", seed, COUNT + 100 * (seed % 3))
+    for name in ("copy.ply", "again.ply"):
+        shutil.copy(folder / "sub0" / "0.ply", folder / name)
+    whole = (folder / "sub1" / "1.ply").read_bytes()
+    (folder / "broken.ply").write_bytes(whole[: len(whole) // 2])
+    (folder / "text.ply").write_text("this is no model")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def done(collection, tmp_path_factory) -> tuple[Path, dict[str, dict]]:
+    out = tmp_path_factory.mktemp("done") / "out"
+    return out, scanned(collection, out, "--report-above", "0")
+
+
+def test_results_equal_those_of_single_runs_to_the_bit(collection, done, tmp_path):
+    for name in ("sub0/0.ply", "sub1/5.ply"):
+        assert run("locate", collection / name, "--out", tmp_path / "one").code == 0
+        single, row = json.loads((tmp_path / "one" / "result.json").read_text()), done[1][name]
+        tamper, labels = (np.load(tmp_path / "one" / f"{n}.npy") for n in ("tamper", "labels"))
+        assert row["result_sha256"] == result_digest(tamper, labels)
+        assert row["scene_probability"] == single["verdict"]
+        assert row["labelled"] == single["counts"]["tampered"]
+        assert row["traces"] == list(single["attributes"]["traces"])
+        assert row["warnings"] == single["warnings"]
+        folder = done[0] / "reports" / Path(row["report"]).parent
+        for file in ("tamper.npy", "labels.npy", "masks/orbit_003.png", "tamper.ply"):
+            assert (folder / file).read_bytes() == (tmp_path / "one" / file).read_bytes()
+
+
+def test_a_broken_file_is_a_row(collection, done):
+    out, rows = done
+    assert len(rows) == 10
+    failed = {name: row for name, row in rows.items() if row["error_class"]}
+    assert set(failed) == {"broken.ply", "text.ply"}
+    for name, row in failed.items():
+        assert row["error_class"] == "InputError"
+        assert row["error"].startswith(str(collection / name))
+        assert row["scene_probability"] is None
+        assert "\n" not in row["error"]
+    assert len(list((out / "reports").iterdir())) == 6, "copies and broken files have no report"
+
+
+def test_copies_are_judged_once(done):
+    same = [done[1][name] for name in ("sub0/0.ply", "copy.ply", "again.ply")]
+    judged = [row for row in same if not row["duplicate_of"]]
+    assert len(judged) == 1
+    assert {row["duplicate_of"] for row in same} == {None, judged[0]["id"]}
+    assert len({(row["result_sha256"], row["scene_probability"]) for row in same}) == 1
+
+
+def test_a_finished_scan_judges_nothing_again(collection, done):
+    before = {path: path.stat().st_mtime_ns for path in (done[0] / "scenes").rglob("*.parquet")}
+    answer = run("scan", collection, "--out", done[0], "--report-above", "0")
+    assert "(10 finished)" in answer.out
+    after = {path: path.stat().st_mtime_ns for path in (done[0] / "scenes").rglob("*.parquet")}
+    assert before == after
+
+
+def test_another_configuration_is_judged_anew_and_a_new_content_replaces_the_old(tmp_path):
+    scene(tmp_path / "in" / "a.ply", 0)
+    first = scanned(tmp_path / "in", tmp_path / "out")["a.ply"]
+    scene(tmp_path / "in" / "a.ply", 1)
+    second = scanned(tmp_path / "in", tmp_path / "out")
+    assert list(second) == ["a.ply"]
+    assert second["a.ply"]["sha256"] != first["sha256"]
+    answer = run("scan", tmp_path / "in", "--out", tmp_path / "out", "--threshold", "0.9")
+    assert "(1 judged)" in answer.out
+
+
+def test_two_scans_into_one_folder_are_refused(collection, done):
+    out = done[0]
+    with locked(out / UNFINISHED):
+        assert "another run" in refused("scan", collection, "--out", out)
+
+
+def test_a_scene_beyond_the_timeout_is_a_row_and_is_tried_again_later(tmp_path):
+    scene(tmp_path / "in" / "a.ply", 0)
+    options = ("--timeout", "0.03", "--retries", "1")
+    row = scanned(tmp_path / "in", tmp_path / "out", *options)["a.ply"]
+    assert (row["error_class"], row["attempts"]) == ("TimeoutError", 2)
+    assert "0.03 s" in row["error"]
+    row = scanned(tmp_path / "in", tmp_path / "out")["a.ply"]
+    assert row["error_class"] is None
+    assert row["scene_probability"] is not None
+
+
+def processes() -> set[int]:
+    """The processes of workers, in which scenes are judged."""
+    found = set()
+    for place in Path("/proc").glob("[0-9]*/cmdline"):
+        with contextlib.suppress(OSError):
+            if b"gsc_jax.collection.process import serve" in place.read_bytes():
+                found.add(int(place.parent.name))
+    return found
+
+
+@contextlib.contextmanager
+def killing(most: int, others: set[int]) -> Iterator[list[int]]:
+    """Kill processes of workers as the kernel does for memory: so many, as they appear."""
+    killed, stop = list[int](), threading.Event()
+
+    def watch() -> None:
+        while not stop.wait(0.02) and len(killed) < most:
+            for pid in processes() - others - set(killed):
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(pid, signal.SIGKILL)
+                    killed.append(pid)
+                    break
+
+    watcher = threading.Thread(target=watch)
+    watcher.start()
+    try:
+        yield killed
+    finally:
+        stop.set()
+        watcher.join()
+
+
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="finds processes in /proc")
+@pytest.mark.parametrize(("most", "error"), [(1, None), (2, "WorkerLost")])
+def test_a_killed_process_is_tried_again_and_then_a_row(tmp_path, most, error):
+    scene(tmp_path / "in" / "a.ply", 0)
+    with killing(most, processes()) as killed:
+        row = scanned(tmp_path / "in", tmp_path / "out", "--retries", 1)["a.ply"]
+    assert len(killed) == most
+    assert (row["error_class"], row["attempts"]) == (error, 2)
+
+
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="finds processes in /proc")
+def test_a_killed_scan_continues(tmp_path):
+    for seed in range(6):
+        scene(tmp_path / "in" / f"{seed}.ply", seed)
+    command = ["scan", str(tmp_path / "in"), "--out", str(tmp_path / "out")]
+    program = [sys.executable, "-m", "gsc_jax", *command, "--workers", "1"]
+    driver = subprocess.Popen(program, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    end = time.monotonic() + SECONDS
+    while len(list((tmp_path / "out").rglob("*-*.parquet"))) < 2 and time.monotonic() < end:
+        time.sleep(0.05)
+    driver.kill()
+    driver.wait()
+    time.sleep(2)  # its cluster ends with it
+    finished = list((tmp_path / "out").rglob("*-*.parquet"))
+    assert 2 <= len(finished) < 6
+    answer = run("scan", tmp_path / "in", "--out", tmp_path / "out", "--workers", 2)
+    assert f"({len(finished)} finished, {6 - len(finished)} judged)" in answer.out
+    rows = rows_of(tmp_path / "out")
+    assert set(rows) == {f"{seed}.ply" for seed in range(6)}
+    assert not [row for row in rows.values() if row["error_class"]]
+
+
+def test_a_scan_is_a_stage_of_a_pipeline(tmp_path):
+    path = scene(tmp_path / "a.ply", 0)
+    entries = [
+        {"id": "x", "path": str(path), "court": "north"},
+        {"id": "y", "path": str(tmp_path / "missing.ply"), "court": "south"},
+    ]
+    dataset = ray.data.from_items(entries, override_num_blocks=2)
+    settings = ScanSettings(workers=1)
+    found = scan(dataset, settings=settings).map(lambda row: {**row, "next": True}).take_all()
+    rows = {row["id"]: row for row in found}
+    assert [rows[name]["court"] for name in "xy"] == ["north", "south"]
+    assert all(row["next"] for row in found)
+    assert rows["x"]["error_class"] is None
+    assert rows["x"]["gaussians"] == COUNT
+    assert rows["y"]["error_class"] == "FileNotFoundError"
+    assert str(tmp_path / "missing.ply") in rows["y"]["error"]
+
+
+def test_an_address_is_downloaded(tmp_path):
+    fsspec = pytest.importorskip("fsspec")
+    scene(tmp_path / "a.ply", 0)
+    (tmp_path / "list.txt").write_text(f"file://{tmp_path / 'a.ply'}\nfile:///nowhere/b.ply\n")
+    assert fsspec.url_to_fs(f"file://{tmp_path}")
+    rows = scanned(tmp_path / "list.txt", tmp_path / "out")
+    good, bad = rows[f"file://{tmp_path / 'a.ply'}"], rows["file:///nowhere/b.ply"]
+    assert good["gaussians"] == COUNT
+    assert bad["error_class"] == "FileNotFoundError"

@@ -15,6 +15,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import TypeVar
 
 import common
 import numpy as np
@@ -22,6 +23,8 @@ import tyro
 
 import gsc_jax
 from gsc_jax.benchmark.scenes import make_room
+
+Value = TypeVar("Value")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -121,7 +124,7 @@ def rows_of(out: Path) -> list[dict]:
     return dataset.dataset(out / "scenes", partitioning="hive").to_table().to_pylist()
 
 
-def report(name: str, value: object) -> object:
+def report(name: str, value: Value) -> Value:
     """Print a value and return it."""
     print(name, value, flush=True)
     return value

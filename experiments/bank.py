@@ -16,11 +16,12 @@ from cases import DATA, Scene, available, load_scene, pruned
 from cut_object import cut_object
 from export import EXPORTERS, export
 from garden import make_garden
+from inpainted import inpaint_region
+from optimised import laundered, optimise_region
 
 from gsc_jax import load_cameras, load_ply
-from gsc_jax.benchmark.optimised import laundered
 from gsc_jax.benchmark.scenes import make_object, make_room
-from gsc_jax.benchmark.tamper import Edit, Program, tamper
+from gsc_jax.benchmark.tamper import Edit, Proposal, tamper
 from gsc_jax.scene import Gaussians
 
 BANK = Path(__file__).resolve().parents[1] / ".captures"
@@ -41,7 +42,7 @@ FIRST_SEED = 1000
 Kind = Edit | Literal["none"]
 NO_EDIT: Literal["none"] = "none"
 MADE_HOSTS = {"room": make_room, "garden": make_garden}
-PROGRAMS: dict[str, Program] = {"modification": "optimisation", "removal": "inpainting"}
+PROGRAMS: dict[Edit, Proposal] = {"modification": optimise_region, "removal": inpaint_region}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -130,12 +131,12 @@ def bank_case(host: str, edit: Kind, seed: int, bank: Path = BANK, data: Path = 
     labels = np.zeros(len(gaussians), bool)
     sources, how = {source_of(host)}, []
     if edit != NO_EDIT:
-        change: Edit | Program | Gaussians = edit
+        change: Edit | Gaussians | tuple[Edit, Proposal] = edit
         if edit == "incorporation":
             name, change = draw_donor(host, len(gaussians) // 4, bank, data, rng)
             sources.add(source_of(name))
         elif not quick and len(gaussians) < MAX_HOST and rng.random() < OPTIMISED:
-            change = PROGRAMS[edit]
+            change = edit, PROGRAMS[edit]
         edited = tamper(gaussians, scene.cameras, change, seed=seed)
         gaussians, labels = edited.gaussians, edited.labels
         how.append(edited.description)

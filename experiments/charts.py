@@ -109,7 +109,7 @@ def trade_off(
         axis.margins(x=0.06)
         axis.grid(visible=True, alpha=0.25)
         axis.xaxis.set_major_formatter("{x:g}")
-        axis.xaxis.set_minor_formatter("{x:g}" if float(best[x].min()) > 1 else "")
+        axis.xaxis.set_minor_formatter("{x:g}" if np.min(best[x]) > 1 else "")
         _name_ends(axis, ends)
     save(figure, path)
 

@@ -1,9 +1,9 @@
-"""`make demo-scan`: a small collection of made scenes, some edited, some broken, scanned and ranked.
+"""`make demo-scan`: a small collection of made scenes, some edited or broken, scanned and ranked.
 
     python experiments/demo_scan.py OUT
 
-OUT/collection holds twelve rooms, four of them with a pasted object, a copy of a file and two broken
-files; OUT/scanned the results. Prints the table of `gsc-jax scan`.
+OUT/collection holds twelve rooms, four of them with a pasted object, a copy of a file and two
+broken files; OUT/scanned the results. Prints the table of `gsc-jax scan`.
 """
 
 import shutil
@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 import gsc_jax
-from gsc_jax.benchmark.scenes import make_room, make_scene
+from gsc_jax.benchmark.scenes import make_room, tampered_room
 from gsc_jax.cli.main import main
 
 ROOMS, EDITED, COUNT = 8, 4, 12_000
@@ -26,7 +26,7 @@ def make_collection(folder: Path) -> None:
         count = COUNT + int(np.random.default_rng(seed).integers(0, COUNT))
         gsc_jax.save_ply(folder / f"room_{seed}.ply", make_room(seed=seed, count=count))
     for seed in range(EDITED):
-        made = make_scene(seed=seed, count=COUNT)
+        made = tampered_room(seed=seed, count=COUNT)
         gsc_jax.save_ply(folder / f"edited_{seed}.ply", made.gaussians)
     shutil.copy(folder / "edited_0.ply", folder / "same_as_edited_0.ply")
     content = (folder / "room_0.ply").read_bytes()

@@ -15,10 +15,8 @@ from typing import Literal, get_args
 import numpy as np
 
 from gsc_jax.benchmark.incorporation import paste_object
-from gsc_jax.benchmark.inpainted import inpaint_region
 from gsc_jax.benchmark.metrics import truth_mask
 from gsc_jax.benchmark.modification import modify_region
-from gsc_jax.benchmark.optimised import optimise_region
 from gsc_jax.benchmark.regions import (
     VISIBLE_SHARE,
     EditRejected,
@@ -37,8 +35,8 @@ from gsc_jax.splat import render
 
 Edit = Literal["incorporation", "modification", "removal"]
 EDITS: tuple[Edit, ...] = get_args(Edit)
-Program = Literal["optimisation", "inpainting"]
-"""A modification or a removal as editors make it: new images, and Gaussians trained on them."""
+Proposal = Callable[[Gaussians, Visibility, float, np.random.Generator], ProposedEdit]
+"""Proposes an edit of a size in a scene, or raises `EditRejected`."""
 
 ATTEMPTS = 8
 MIN_VISIBLE_VIEWS = 0.5
@@ -71,7 +69,7 @@ class Tampered:
 def tamper(
     gaussians: Gaussians,
     cameras: Sequence[Camera],
-    edit: Edit | Program | Gaussians,
+    edit: Edit | Gaussians | tuple[Edit, Proposal],
     *,
     size: float = 0.05,
     near: float = NEAR,
@@ -85,8 +83,7 @@ def tamper(
         gaussians: The authentic scene.
         cameras: Its V cameras, mostly held level: the vertical is the mean of their up vectors.
         edit: "modification", "removal", or for an incorporation the object to paste, upright with
-            up = -y; "optimisation" and "inpainting" are a modification and a removal that train
-            the region for edited views, which takes minutes for large scenes.
+            up = -y; or a kind of edit and a function that proposes one.
         size: Median share of the pixels that the edit should cover in the views that see it.
         near: Near plane in world units.
         seed: Seed of the random choices.
@@ -95,14 +92,14 @@ def tamper(
         ValueError: if the edit is unknown, the size is not in (0, 0.5], or the object is unusable.
         InputError: if the cameras do not see the scene, or no attempt gave a visible edit.
     """
-    if not (isinstance(edit, Gaussians) or edit in MAKERS):
-        raise ValueError(f"edit must be an object or one of {', '.join(MAKERS)}, got {edit!r}")
+    if isinstance(edit, str) and edit not in PROPOSALS:
+        raise ValueError(f"edit must be an object or one of {', '.join(PROPOSALS)}, got {edit!r}")
     if not 0 < size <= 0.5:
         raise ValueError(f"size is a share of the pixels in (0, 0.5], got {size}")
     if isinstance(edit, Gaussians):
         kind, make = "incorporation", functools.partial(paste_object, donor=edit)
     else:
-        kind, make = MAKERS[edit]
+        kind, make = (edit, PROPOSALS[edit]) if isinstance(edit, str) else edit
     # The count enters the seed, so that one seed gives different kinds of edit in each scene.
     rng = np.random.default_rng([seed, EDITS.index(kind), len(gaussians)])
     visibility = measure_visibility(gaussians, cameras, near=near)
@@ -121,12 +118,7 @@ def tamper(
     )
 
 
-MAKERS: dict[str, tuple[Edit, Callable[..., ProposedEdit]]] = {
-    "modification": ("modification", modify_region),
-    "removal": ("removal", remove_region),
-    "optimisation": ("modification", optimise_region),
-    "inpainting": ("removal", inpaint_region),
-}
+PROPOSALS: dict[str, Proposal] = {"modification": modify_region, "removal": remove_region}
 
 
 def _checked(

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from gsc_jax.benchmark.tamper import Edit, Program
+from gsc_jax.benchmark.tamper import Edit
 from gsc_jax.estimators import Method
 from gsc_jax.evidence.masks import MaskRule
 from gsc_jax.render.projection import NEAR
@@ -96,11 +96,6 @@ class Tamper(SceneOptions):
       modification             changes colour, texture, size or shape
                                of a region
       removal                  removes a region and fills the hole
-      optimisation             a modification as editors make it: the
-                               views are edited, and the region is
-                               trained for them (minutes)
-      inpainting               a removal likewise: the hole is inpainted
-                               in the views, and new Gaussians trained
       Rows are shuffled. The file may still reveal the edit, for
       example by the precision of its numbers.
 
@@ -122,7 +117,7 @@ class Tamper(SceneOptions):
             docs/results.md. `none` writes no masks.
     """
 
-    edit: Edit | Program = "incorporation"
+    edit: Edit = "incorporation"
     object: Annotated[Path | None, arg("OBJECT.ply", "a vase")] = None
     size: Annotated[float, arg("SHARE")] = 0.05
     masks: Regime = "mixture"

@@ -21,6 +21,7 @@ from gsc_jax.io.files import atomic
 
 PAGE, RANKED = "collection.html", 20
 """Name of the page, and scenes in the table on the terminal."""
+PER_SCENE = "cpus", "memory", "timeout", "retries", "report_above"
 MAX_BLOCKS = 100_000
 """Units of work of Ray: a scene, or several of them in a larger collection."""
 
@@ -109,7 +110,7 @@ def _settings(options: Scan, *, workers: int) -> Any:
         out=options.out.absolute(),
         workers=workers,
         cache=None if options.no_cache else cache_folder(),
-        **{k: getattr(options, k) for k in ("cpus", "memory", "timeout", "retries", "report_above")},
+        **{name: getattr(options, name) for name in PER_SCENE},
     )
 
 

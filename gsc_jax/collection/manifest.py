@@ -34,8 +34,9 @@ def read_manifest(source: Path) -> list[Entry]:
     base, suffix = source.parent, source.suffix.lower()
     if source.is_dir():
         entries = _files(sorted(source.rglob("*")), source)
-    elif glob.has_magic(str(source)):
-        entries = _files(sorted(Path(found) for found in glob.glob(str(source), recursive=True)))
+    elif not source.exists() and glob.has_magic(str(source)):
+        pattern = str(source.relative_to(source.anchor))
+        entries = _files(sorted(Path(source.anchor).glob(pattern)))
     elif suffix in MANIFESTS:
         entries = [_entry(row, base, source) for row in _rows(source)]
     elif suffix in LISTS:

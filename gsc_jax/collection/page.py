@@ -35,9 +35,11 @@ def collection_page(rows: Sequence[Row]) -> str:
         ]
         for row in rows
     ]
-    probabilities = [row["scene_probability"] for row in rows if row["scene_probability"] is not None]
+    known = [row["scene_probability"] for row in rows]
+    probabilities = [value for value in known if value is not None]
     bins = Counter(min(int(10 * probability), 9) for probability in probabilities)
-    return jinja2.Environment(autoescape=True).from_string(_text("collection.html")).render(
+    template = jinja2.Environment(autoescape=True).from_string(_text("collection.html"))
+    return template.render(
         mark=Markup(MARK),
         count=len(rows),
         edited=sum(probability >= MIN_EDITED for probability in probabilities),

@@ -1,8 +1,8 @@
 """The row of a scene, its Arrow schema, and the Parquet dataset of all rows.
 
-A finished scene is at once a file `OUT/scenes/config=C/part=P/KEY-ID.parquet`, of one row, where KEY
-is the digest of its content and C that of the configuration. At the end of a scan the files of a
-part become one file, so that a million scenes are 256 files per configuration.
+A finished scene is at once a file `OUT/scenes/config=C/part=P/KEY-ID.parquet`, of one row, where
+KEY is the digest of its content and C that of the configuration. At the end of a scan the files of
+a part become one file, so that a million scenes are 256 files per configuration.
 """
 
 import hashlib
@@ -33,7 +33,8 @@ def schema(row: Mapping[str, Any]) -> "pa.Schema":
     """Schema of a row: the columns of every scan, and those of the manifest as text."""
     import pyarrow as pa
 
-    stage = pa.struct([("name", pa.string()), ("seconds", pa.float64()), ("peak_mib", pa.float64())])
+    measured = {"name": pa.string(), "seconds": pa.float64(), "peak_mib": pa.float64()}
+    stage = pa.struct(list(measured.items()))
     kinds = {name: pa.string() for name in TEXTS}
     kinds |= {name: pa.int64() for name in WHOLE} | {name: pa.float64() for name in REAL}
     kinds |= {name: pa.list_(pa.string()) for name in LISTS} | {"stages": pa.list_(stage)}
@@ -64,9 +65,9 @@ def finished_scenes(out: Path, configuration: str) -> dict[str, list[str]]:
     finished: dict[str, list[str]] = {}
     for row in sorted(read_rows(out, configuration), key=lambda row: bool(row["duplicate_of"])):
         # A copy counts only after its original, which a killed scan may not have judged.
-        if row["key"] and row["error_class"] not in TRANSIENT:
-            if not row["duplicate_of"] or row["key"] in finished:
-                finished.setdefault(row["key"], []).append(row["id"])
+        original = not row["duplicate_of"] or row["key"] in finished
+        if original and row["key"] and row["error_class"] not in TRANSIENT:
+            finished.setdefault(row["key"], []).append(row["id"])
     return finished
 
 

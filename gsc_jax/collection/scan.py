@@ -1,7 +1,7 @@
 """The scan: a Ray dataset of scenes to one of rows, with an actor per worker."""
 
 import functools
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from gsc_jax.collection.ledger import Claim, Ledger
 from gsc_jax.collection.record import finished_scenes
@@ -40,7 +40,7 @@ def scan(dataset: "Dataset", *, settings: ScanSettings | None = None) -> "Datase
     finished = finished_scenes(settings.out, configuration) if settings.out else {}
     ledger = ray.remote(Ledger).options(num_cpus=0).remote(finished)
     return dataset.map(
-        SceneWorker,
+        cast(Any, SceneWorker),  # Ray makes an instance in every actor
         fn_constructor_kwargs={
             "settings": settings,
             "configuration": configuration,

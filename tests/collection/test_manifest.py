@@ -4,8 +4,9 @@ import pytest
 
 from gsc_jax.scene import InputError
 
-pa = pytest.importorskip("pyarrow", reason="needs the extra `cluster`")
+pytest.importorskip("pyarrow", reason="needs the extra `cluster`")
 
+import pyarrow as pa
 from pyarrow import parquet
 
 from gsc_jax.collection.manifest import read_manifest

@@ -5,7 +5,6 @@ import time
 from pathlib import Path
 
 import numpy as np
-import pytest
 from browser import Browser
 from selenium.webdriver.common.by import By
 
@@ -38,7 +37,8 @@ def opened(browser: Browser, folder: Path, rows: list[dict]) -> None:
 def column(browser: Browser, number: int) -> list[str]:
     """The texts of a column, of the rows that exist."""
     return browser.execute_script(
-        "return [...document.querySelectorAll('tr.scene')].map(r => r.cells[arguments[0]].textContent)",
+        "const rows = [...document.querySelectorAll('tr.scene')];"
+        "return rows.map(row => row.cells[arguments[0]].textContent)",
         number,
     )
 

@@ -20,16 +20,20 @@ from gsc_jax.benchmark.scenes import make_room
 from gsc_jax.cli.staging import UNFINISHED, locked
 from gsc_jax.io.ply import save_ply
 
-ray = pytest.importorskip("ray", reason="needs the extra `cluster`, which has no wheel here")
+pytest.importorskip("ray", reason="needs the extra `cluster`, which has no wheel here")
 pytest.importorskip("ray.data", reason="needs the extra `cluster`")
+
+import ray
+import ray.data
+
+from gsc_jax.collection import ScanSettings, scan
+from gsc_jax.collection.judge import result_digest
+
 pytestmark = [
     pytest.mark.slow,
     # Ray, its dependencies and the sockets of its processes, none of them ours.
     pytest.mark.filterwarnings("ignore"),
 ]
-
-from gsc_jax.collection import ScanSettings, scan
-from gsc_jax.collection.judge import result_digest
 
 COUNT = 1_500
 SECONDS = 90

@@ -12,9 +12,10 @@ from collections.abc import Callable, Sequence
 import jax
 import jax.numpy as jnp
 import numpy as np
+import trainer
 from scipy.spatial.transform import Rotation
 
-from gsc_jax.benchmark import regions, training
+from gsc_jax.benchmark import regions
 from gsc_jax.benchmark.metrics import rendered_share
 from gsc_jax.benchmark.modification import changed_rows, with_rows
 from gsc_jax.render.projection import NEAR
@@ -59,18 +60,18 @@ def refine(
     default all; others, infinite opacities and infinite scales stay as they are, to the bit.
     Returns NumPy float32; cameras and images that do not fit together raise ValueError.
     """
-    training.require_images(cameras, images)
-    options, config = options or Refinement(), training.CaptureConfig(sh_degree=gaussians.sh_degree)
+    trainer.require_images(cameras, images)
+    options, config = options or Refinement(), trainer.CaptureConfig(sh_degree=gaussians.sh_degree)
     first = jax.tree.map(jnp.asarray, gaussians)
     mask = jnp.ones(len(first)) if rows is None else jnp.asarray(rows, jnp.float32)
-    rates = training.learning_rates(PROGRESS, training.camera_extent(cameras), config)
-    rates = jax.tree.map(lambda rate, leaf: rate * training.per_row(mask, leaf), rates, first)
-    state, weights = training.started(first), (config.ssim_weight, 0.0)
-    order = training.passes(len(cameras), np.random.default_rng(options.seed))
+    rates = trainer.learning_rates(PROGRESS, trainer.camera_extent(cameras), config)
+    rates = jax.tree.map(lambda rate, leaf: rate * trainer.per_row(mask, leaf), rates, first)
+    state, weights = trainer.started(first), (config.ssim_weight, 0.0)
+    order = trainer.passes(len(cameras), np.random.default_rng(options.seed))
     for _, index in zip(range(options.steps), order, strict=False):
         camera = dataclasses.replace(cameras[index], name="")  # static: one compilation for all
         view = make_view(state.scene, camera, near=options.near)
-        state = training.stepped(state, view, camera, images[index], rates, weights)
+        state = trainer.stepped(state, view, camera, images[index], rates, weights)
         state = state._replace(scene=_drawn_back(state.scene, first, mask, options.anchor))
     return jax.tree.map(np.asarray, state.scene)
 
@@ -79,7 +80,7 @@ def refine(
 def _drawn_back(scene: Gaussians, first: Gaussians, mask: jax.Array, share: float) -> Gaussians:
     def drawn_back(leaf: jax.Array, old: jax.Array) -> jax.Array:
         # Opacities and scales may be infinite, and their differences then are not numbers.
-        free = jnp.isfinite(old) & (training.per_row(mask, leaf) > 0)
+        free = jnp.isfinite(old) & (trainer.per_row(mask, leaf) > 0)
         return jnp.where(free, leaf + share * (old - leaf), old)
 
     return jax.tree.map(drawn_back, scene, first)

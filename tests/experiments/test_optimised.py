@@ -3,11 +3,11 @@
 import dataclasses
 
 import numpy as np
+import optimised
 import pytest
+from optimised import IMAGE_EDITS, Refinement, laundered, optimise_region, refine
 
-from gsc_jax.benchmark import optimised
 from gsc_jax.benchmark.metrics import truth_mask
-from gsc_jax.benchmark.optimised import IMAGE_EDITS, Refinement, laundered, optimise_region, refine
 from gsc_jax.benchmark.regions import measure_visibility
 from gsc_jax.benchmark.scenes import tampered_room
 from gsc_jax.benchmark.similarity import psnr

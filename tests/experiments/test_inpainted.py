@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from inpainted import continued, inpaint_region
 
-from gsc_jax.benchmark.inpainted import continued, inpaint_region
 from gsc_jax.benchmark.regions import EditRejected, measure_visibility
 from gsc_jax.benchmark.scenes import tampered_room
 from gsc_jax.splat import render

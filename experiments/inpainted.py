@@ -6,11 +6,11 @@ continued by a biharmonic function, and Gaussians start where one view sees the 
 """
 
 import numpy as np
+from optimised import Refinement, refine, renders
 
 from gsc_jax.benchmark import regions
 from gsc_jax.benchmark.incorporation import with_degree
 from gsc_jax.benchmark.metrics import rendered_share
-from gsc_jax.benchmark.optimised import Refinement, refine, renders
 from gsc_jax.benchmark.scenes import concatenate
 from gsc_jax.render.spherical_harmonics import Y0
 from gsc_jax.scene import Camera, Gaussians

@@ -13,6 +13,19 @@ from gsc_jax.benchmark.simulate import SHARES, Failures
 
 STRENGTHS = 0.25, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0
 """Strengths that `calibrated` tries: half an octave apart."""
+PUBLISHED: Mapping[str, Failures] = {
+    "incorporation": Failures(
+        boundary=0.631, misses=0.276, blobs=3.818, blob_size=0.078, decoy=0.386, inverted=0.0
+    ),
+    "modification": Failures(
+        boundary=0.024, misses=0.001, blobs=0.0, blob_size=0.041, decoy=0.0, inverted=0.044
+    ),
+    "removal": Failures(
+        boundary=0.249, misses=0.059, blobs=4.0, blob_size=0.104, decoy=0.613, inverted=0.016
+    ),
+}
+"""Failures under which the methods come nearest to the figures of the paper, by kind of edit: the
+best draws of `published_fit.py`."""
 PROFILES: Mapping[str, Failures] = {
     "picks the wrong side": Failures(inverted=0.4, boundary=1.0, softness=0.3),
     "coarse patches": Failures(boundary=9.0, misses=0.1, softness=8.0),

@@ -126,7 +126,7 @@ ALL_METHODS: Mapping[str, Method] = {
     "FlashSplat": functools.partial(_flashsplat, gamma=0.0),
     "FlashSplat, gamma 0.4": functools.partial(_flashsplat, gamma=0.4),
     "GS-Checker official": predict_with(METHODS["official"]),
-    "GS-Checker official, own rule": predict_with(METHODS["official"], own_rule=True),
+    "GS-Checker official, attribute": predict_with(METHODS["official"], own_rule=True),
     "GS-Checker official, no 3D loss": predict_with(without_3d(OFFICIAL)),
     "GS-Checker paper": predict_with(METHODS["paper"]),
     "robust": predict_with(METHODS["robust"]),

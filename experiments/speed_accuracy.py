@@ -38,7 +38,7 @@ SETTING = ["method", "epochs", "views", "scale"]
 RENDERED = "GS-Checker official, rendered"
 VARIANTS: dict[tuple[str, int | str], Method] = {
     **{(name, ""): ALL_METHODS[name] for name in (*VOTERS, "SA3D", "FlashSplat")},
-    ("GS-Checker official", ""): ALL_METHODS["GS-Checker official, own rule"],
+    ("GS-Checker official", ""): ALL_METHODS["GS-Checker official, attribute"],
     **{
         ("GS-Checker paper", epochs): predict_with(dataclasses.replace(PAPER, epochs=epochs))
         for epochs in (1, 2, 5)

@@ -227,6 +227,48 @@ def test_a_function_gets_every_render_once():
     assert set(result.probabilities) == {"view_0", "view_1"}
 
 
+class Tensor:
+    """What a tensor of torch does that is no array: it has a gradient, or is in half precision."""
+
+    def __init__(self, values: np.ndarray, *, plain: bool = False) -> None:
+        self.values, self.plain = values, plain
+
+    def detach(self) -> "Tensor":
+        return self
+
+    cpu = detach
+
+    def float(self) -> "Tensor":
+        return Tensor(self.values, plain=True)
+
+    def __array__(self, dtype=None, copy=None) -> np.ndarray:
+        if not self.plain:
+            raise RuntimeError("Can't call numpy() on Tensor that requires grad.")
+        return self.values.astype(dtype)
+
+
+def test_tensors_are_taken_and_the_image_can_be_written_to():
+    def flags(image):
+        image[..., 0] += 1
+        return Tensor((image[..., 0] > 1.2)[None, None])
+
+    image, view = np.full((32, 48, 3), 0.5, np.float32), cameras()[0]
+    image.setflags(write=False)
+    assert fit_to_view(as_detector(flags)(image, view), view).all()
+    assert image.max() == 0.5
+
+
+def test_a_module_of_torch_is_refused_with_the_remedy():
+    class Module:
+        def named_parameters(self):
+            return []
+
+        __call__ = named_parameters
+
+    with pytest.raises(InputError, match="wrap it"):
+        as_detector(Module())
+
+
 def test_cameras_without_a_mask_are_counted_and_still_get_one():
     some = {name: mask for name, mask in truths().items() if name != "view_3"}
     result = locate(SCENE, cameras(), some)

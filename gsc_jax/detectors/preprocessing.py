@@ -7,14 +7,16 @@ from gsc_jax.detectors.specs import OnnxSpec
 Size = tuple[int, int]
 
 
-def fit_image(image: np.ndarray, target: Size, *, fit: str) -> tuple[np.ndarray, Size]:
+def fit_image(
+    image: np.ndarray, target: Size, *, fit: str, low_pass: bool = True
+) -> tuple[np.ndarray, Size]:
     """Resize or pad an image (H, W, 3) to a target size; also return its size without the padding.
 
     "pad" shrinks a larger image with its aspect ratio and adds black at the bottom and the right;
-    any other `fit` resizes without keeping the aspect ratio.
+    any other `fit` resizes without keeping the aspect ratio, by `resize_bilinear`.
     """
     if fit != "pad":
-        return resize_bilinear(image, target), target
+        return resize_bilinear(image, target, low_pass=low_pass), target
     shrink = min(1.0, target[0] / image.shape[0], target[1] / image.shape[1])
     height, width = (max(1, round(side * shrink)) for side in image.shape[:2])
     margins = ((0, target[0] - height), (0, target[1] - width), (0, 0))
@@ -55,9 +57,14 @@ def remap_threshold(probability: np.ndarray, threshold: float) -> np.ndarray:
     return np.where(probability > threshold, above, np.minimum(remapped, half))
 
 
-def resize_bilinear(image: np.ndarray, size: Size) -> np.ndarray:
-    """Resize with bilinear interpolation, after a low-pass filter if the image shrinks."""
+def resize_bilinear(image: np.ndarray, size: Size, *, low_pass: bool = True) -> np.ndarray:
+    """Resize with bilinear interpolation, beyond the border with the values at the border.
+
+    By default, after a low-pass filter if the image shrinks.
+    """
     from skimage.transform import resize
 
     image = np.asarray(image, np.float32)
-    return image if image.shape[:2] == size else np.asarray(resize(image, size, order=1))
+    if image.shape[:2] == size:
+        return image
+    return np.asarray(resize(image, size, order=1, mode="edge", anti_aliasing=low_pass))

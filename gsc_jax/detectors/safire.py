@@ -26,7 +26,7 @@ from gsc_jax.detectors.network import (
     shape_text,
 )
 from gsc_jax.detectors.preprocessing import fit_image, to_tensor
-from gsc_jax.detectors.safire_regions import MIN_CONFIDENCE, forged_region, point_grid
+from gsc_jax.detectors.safire_regions import forged_region, point_grid
 from gsc_jax.detectors.session import CPU, fingerprint
 from gsc_jax.detectors.specs import OnnxSpec
 from gsc_jax.scene import InputError
@@ -53,8 +53,7 @@ class SafireDetector(NetworkDetector):
     """A 2D detector that runs SAFIRE on the rendered views."""
 
     anomalies: ClassVar = {
-        "one_source": "nothing flagged, because all masks belong to one group (of one source),",
-        "unsure": f"nothing flagged, because a confidence is not above {MIN_CONFIDENCE},",
+        "one_source": "the most confident mask was taken, as all masks are of one source,",
         "unusable": "{count} masks are empty or not finite and were ignored",
     }
 
@@ -100,7 +99,7 @@ class SafireDetector(NetworkDetector):
         self._batch = self._decoder.sides.get("P") or PROMPTS_PER_BATCH
 
     def detect(self, image: np.ndarray, view: str) -> tuple[np.ndarray, dict[str, int]]:
-        """Probability map (S, S), 0 if nothing is flagged, and the counts of `forged_region`."""
+        """Probability map (S, S), and the counts of `forged_region`."""
         square, _ = fit_image(image, (self._side, self._side), fit="resize")
         (embeddings,) = self._encoder.run(to_tensor(square, SAM), view=view)
         logits, confidences = self._decode(embeddings, view)
@@ -125,12 +124,6 @@ class SafireDetector(NetworkDetector):
             some_masks, confidence = self._decoder.run(
                 embeddings, points[rows, None], labels, view=view
             )
-            if np.any(np.remainder(some_masks.shape[2:], embeddings.shape[2:])):
-                raise InputError(
-                    f"{self.decoder}: gives masks {shape_text(some_masks.shape)} of embeddings "
-                    f"{shape_text(embeddings.shape)}, expected sides that are multiples of theirs; "
-                    "export the decoder with its own low resolution"
-                )
             masks.append(some_masks[:, 0])
             confidences.append(confidence[:, 0])
         return np.concatenate(masks)[: len(points)], np.concatenate(confidences)[: len(points)]

@@ -1,26 +1,21 @@
 """Forged region of an image from point-prompted masks, as in the test code of SAFIRE.
 
-The feature of a mask is the mean embedding inside it. Spherical k-means (cosine distance, k = 2)
-partitions the masks. The most confident mask represents each group, the smaller of the two is the
-forged region, and the probability is the mean of its mask and of the complement of the other.
+The feature of a mask is the mean embedding of the cells whose first pixel is inside it. Spherical
+k-means (cosine distance, k = 2) partitions the masks. The most confident mask represents each
+group, the smaller of the two is the forged region, and the probability is the mean of its mask and
+of the complement of the other. If all masks are of one group, the most confident one is the region.
 
 Differences, where the test code is unspecified or returns NaN:
 
-- Embeddings are weighted by the covered share of a cell, since a mask can miss all sampled cells.
-- Empty masks and predictions that are not finite are ignored and counted.
-- k-means takes the best of several seeded starts. If a second group does not reduce the distance,
-  the image has one source, and nothing is flagged.
-- Nothing is flagged unless both confidences exceed 0.5. The confidence is trained towards the share
-  of correct pixels, so below 0.5 the complement of the mask would be the better prediction.
+- Masks without a cell and predictions that are not finite are ignored and counted.
+- k-means takes the best of several seeded starts. There is one group if a second one does not
+  reduce the distance.
 """
 
 import numpy as np
 from scipy.special import expit
 
 from gsc_jax.detectors.preprocessing import resize_bilinear
-
-MIN_CONFIDENCE = 0.5
-"""Lower bound of both confidences (see above)."""
 
 STARTS = 16
 """Random starts of k-means; a test compares the result with all partitions of small sets."""
@@ -46,48 +41,56 @@ def forged_region(
 ) -> tuple[np.ndarray, dict[str, int]]:
     """Probability of tampering from the masks of many prompts, (side, side) float32, and counts.
 
-    The probability is 0 if nothing is flagged. The counts are of "unusable" predictions, and 1 or 0
-    for "one_source", an image of one source, and "unsure", low confidences.
+    The probability is 0 if no mask is usable. The counts are of "unusable" predictions, and 1 or 0
+    for "one_source", an image of one source.
 
     Args:
         logits: Masks, positive inside, shape (P, h, w).
         confidences: Predicted quality of each mask, shape (P,).
-        embeddings: Embeddings of the image, shape (C, H, W); H divides h, W divides w.
+        embeddings: Embeddings of the image, shape (C, H, W).
         side: Pixels per side of the result.
         seed: Seed of the starts of k-means.
     """
-    directions = mask_directions(logits, embeddings)
+    directions = mask_directions(logits, embeddings, side=side)
     usable = np.flatnonzero(np.isfinite(confidences) & np.isfinite(directions).all(axis=1))
-    counts = {"unusable": len(logits) - len(usable), "one_source": 0, "unsure": 0}
-    nothing = np.zeros((side, side), np.float32)
+    counts = {"unusable": len(logits) - len(usable), "one_source": 0}
+    if not len(usable):
+        return np.zeros((side, side), np.float32), counts
     groups = two_groups(directions[usable], seed=seed)
     if groups is None:
-        return nothing, counts | {"one_source": 1}
-    best = [max(usable[groups == k], key=lambda mask: confidences[mask]) for k in (0, 1)]
-    if not confidences[best].min() > MIN_CONFIDENCE:
-        return nothing, counts | {"unsure": 1}
-    forged, rest = sorted(best, key=lambda mask: ((logits[mask] > 0).sum(), confidences[mask]))
-    inside, outside = (
-        expit(resize_bilinear(logits[mask].clip(-SATURATED_LOGIT, SATURATED_LOGIT), (side, side)))
-        for mask in (forged, rest)
-    )
-    return (inside + 1 - outside) / 2, counts
+        counts["one_source"], groups = 1, np.zeros(len(usable), np.int64)
+    best = [max(usable[groups == k], key=lambda mask: confidences[mask]) for k in np.unique(groups)]
+    best.sort(key=lambda mask: ((logits[mask] > 0).sum(), confidences[mask]))
+    clipped = [logits[mask].clip(-SATURATED_LOGIT, SATURATED_LOGIT) for mask in best]
+    shares = [expit(resize_bilinear(mask, (side, side))) for mask in clipped]
+    return (shares[0] if len(shares) == 1 else (shares[0] + 1 - shares[1]) / 2), counts
 
 
-def mask_directions(logits: np.ndarray, embeddings: np.ndarray) -> np.ndarray:
+def mask_directions(logits: np.ndarray, embeddings: np.ndarray, *, side: int) -> np.ndarray:
     """Direction of the mean embedding inside each mask; see `forged_region` for the arguments.
 
     Unit vectors, shape (P, C) float64; NaN for an empty mask, and for NaN in mask or mean.
     """
-    count, height, width = logits.shape
     channels, rows, columns = embeddings.shape
-    cells = (count, rows, height // rows, columns, width // columns)
-    covered = (logits > 0).reshape(cells).mean(axis=(2, 4)).reshape(count, -1)
     with np.errstate(all="ignore"):  # invalid results are NaN, as documented
-        sums = covered @ embeddings.reshape(channels, -1).T.astype(np.float64)
+        clipped = logits.clip(-SATURATED_LOGIT, SATURATED_LOGIT)
+        sampled = _sampled(_sampled(clipped, rows, side, axis=1), columns, side, axis=2)
+        inside = (sampled > 0).reshape(len(logits), -1).astype(np.float64)
+        sums = inside @ embeddings.reshape(channels, -1).T.astype(np.float64)
         directions = sums / np.linalg.norm(sums, axis=1, keepdims=True)
     directions[np.isnan(logits).any(axis=(1, 2))] = np.nan
     return directions
+
+
+def _sampled(logits: np.ndarray, cells: int, side: int, *, axis: int) -> np.ndarray:
+    """Logits at the first pixel of each cell, interpolated as if resized to `side` pixels first."""
+    count = logits.shape[axis]
+    pixels = np.arange(cells) * side // cells
+    places = ((pixels + 0.5) * count / side - 0.5).clip(0, count - 1)
+    low = places.astype(np.int64)
+    share = (places - low).reshape([-1 if k == axis else 1 for k in range(3)])
+    first, second = (logits.take(k.clip(max=count - 1), axis) for k in (low, low + 1))
+    return np.where(share > 0, first * (1 - share) + second * share, first)
 
 
 def two_groups(directions: np.ndarray, *, seed: int = 0) -> np.ndarray | None:

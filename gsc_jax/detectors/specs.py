@@ -46,6 +46,7 @@ class OnnxSpec:
             the image unchanged.
         multiple_of: Divisor of a free size, which is rounded to the nearest ("resize") or next
             larger ("pad") multiple.
+        low_pass: Whether "resize" filters an image that shrinks, as Pillow does and cv2 does not.
         channels: Order of the input channels, and of `mean` and `std`.
         layout: Layout of input and output.
         scale: Factor of the image, whose values are in [0, 1].
@@ -61,6 +62,7 @@ class OnnxSpec:
     size: Annotated[Size, pydantic.AfterValidator(_height_and_width)] = None
     fit: Literal["resize", "pad", "none"] = "resize"
     multiple_of: Count = 1
+    low_pass: bool = True
     channels: Literal["rgb", "bgr"] = "rgb"
     layout: Literal["NCHW", "NHWC"] = "NCHW"
     scale: PositiveNumber = 1.0
@@ -101,7 +103,12 @@ PRESETS = {
     "trufor": OnnxSpec(fit="none", scale=255 / 256, activation="softmax", channel=1),
     # The inference code reads BGR, but applies the RGB statistics. Outputs: edges, map.
     "mvss-net": OnnxSpec(
-        size=512, channels="bgr", **IMAGENET_STATISTICS, output=1, activation="sigmoid"
+        size=512,
+        low_pass=False,
+        channels="bgr",
+        **IMAGENET_STATISTICS,
+        output=1,
+        activation="sigmoid",
     ),
     # The localisation head includes the sigmoid.
     "pscc-net": OnnxSpec(fit="none"),

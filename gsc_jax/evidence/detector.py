@@ -5,7 +5,6 @@ by camera name serves as well. An output is resized once, as probabilities, and 
 """
 
 import dataclasses
-import typing
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
@@ -67,12 +66,14 @@ def fit_to_view(probability: Any, camera: Camera) -> np.ndarray:
     if output.shape == size:
         return output
     shrinks = output.shape[0] > size[0] or output.shape[1] > size[1]
-    resized = resize(output, size, order=1, anti_aliasing=shrinks)
+    resized = resize(output, size, order=1, mode="edge", anti_aliasing=shrinks)
     return np.asarray(resized, np.float32).clip(0.0, 1.0)
 
 
 def _as_map(probability: Any, camera: Camera) -> np.ndarray:
     """The output of a detector, (h, w) float32, without further axes of length 1."""
+    if callable(getattr(probability, "detach", None)):  # torch: with gradients, in half precision
+        probability = probability.detach().cpu().float()
     try:
         with np.errstate(over="ignore"):  # infinities are refused
             output = np.asarray(probability, np.float32)
@@ -121,7 +122,8 @@ class _FunctionDetector:
         return list(cameras)
 
     def __call__(self, image: np.ndarray | None, camera: Camera) -> np.ndarray:
-        return same_view(self.function(typing.cast(np.ndarray, image)), camera)
+        # A copy, which the function may change: torch wants arrays that it could write to.
+        return same_view(self.function(np.array(image)), camera)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -151,12 +153,18 @@ def as_detector(detector: Any) -> Detector:
     """Wrap a function of the image, or a mapping of probability maps, as a detector.
 
     Raises:
-        ValueError: if it is neither, nor a detector.
+        ValueError: if it is neither, nor a detector; also for a torch module, whose input is not
+            known.
     """
     if hasattr(detector, "select"):
         return detector
     if isinstance(detector, Mapping):
         return _MappingDetector(detector)
+    if hasattr(detector, "named_parameters"):
+        raise InputError(
+            "detector is a torch module, expected a function of the image (H, W, 3) in [0, 1]; "
+            "wrap it: docs/detectors.md, section 'Without ONNX', has an example"
+        )
     if not callable(detector):
         raise ValueError(
             "detector must be a detector, a function of the image, or probability maps by camera "

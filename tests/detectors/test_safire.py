@@ -23,7 +23,7 @@ def test_odd_square_is_flagged(tmp_path):
     assert found[12, 24] > 0.95
     assert found[28, 4] < 0.05
     assert network.warnings == ()
-    assert network.diagnostics == {"view": {"unusable": 0, "one_source": 0, "unsure": 0}}
+    assert network.diagnostics == {"view": {"unusable": 0, "one_source": 0}}
     assert network.needs_image is True
     views = [view("a"), view("b")]
     assert network.select(views) == views
@@ -72,20 +72,19 @@ def test_free_size_is_that_of_sam(tmp_path):
     ("options", "image", "anomaly", "words"),
     [
         ({}, np.full_like(IMAGE, 0.5), "one_source", "of one source"),
-        ({}, np.zeros_like(IMAGE), "one_source", "of one source"),
-        ({"steepness": 0.0, "shift": -1.0}, IMAGE, "one_source", "64 masks are empty"),
-        ({"steepness": np.nan}, IMAGE, "one_source", "64 masks are empty or not finite"),
-        ({"confidence": np.nan}, IMAGE, "one_source", "64 masks"),
-        ({}, np.full_like(IMAGE, np.nan), "one_source", "64 masks"),
-        ({"confidence": 0.3}, IMAGE, "unsure", "a confidence is not above 0.5"),
+        ({"steepness": 0.0, "shift": -1.0}, IMAGE, "unusable", "64 masks are empty"),
+        ({"steepness": np.nan}, IMAGE, "unusable", "64 masks are empty or not finite"),
+        ({"confidence": np.nan}, IMAGE, "unusable", "64 masks"),
+        ({}, np.full_like(IMAGE, np.nan), "unusable", "64 masks"),
     ],
 )
-def test_warnings_explain_views_without_a_region(tmp_path, options, image, anomaly, words):
+def test_warnings_explain_views_without_two_regions(tmp_path, options, image, anomaly, words):
     network = detector(tmp_path, **options)
-    np.testing.assert_array_equal(network(image, view("bad")), np.zeros((SIDE, SIDE)))
-    assert network.diagnostics["bad"][anomaly] == 1
+    found = network(image, view("bad"))
+    assert found.any() == (anomaly == "one_source")
+    assert network.diagnostics["bad"][anomaly] > 0
     warnings = " ".join(network.warnings)
-    for part in (words, "nothing flagged", "in 1 of 1 views", "'bad'", str(tmp_path)):
+    for part in (words, "in 1 of 1 views", "'bad'", str(tmp_path)):
         assert part in warnings
 
 
@@ -177,7 +176,6 @@ def test_unexpected_tensors_are_refused_when_loaded(tmp_path, changed, reason):
             {"mask_shape": (-1, 1, CELLS, 2 * CELLS)},
             r"'masks' .*\[2, 1, 16, 32\], expected the masks",
         ),
-        ({"scale": 1.5}, "expected sides that are multiples"),
         ({"mask_shape": (7, 1, -1, 3)}, "the model fails on view 'view'"),
     ],
 )

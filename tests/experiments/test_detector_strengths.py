@@ -1,8 +1,12 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
-from detector_strengths import PROFILES, calibrated, scaled
+from detector_strengths import PROFILES, PUBLISHED, calibrated, scaled
 from hypothesis import given
 from hypothesis import strategies as st
+from published_fit import RANGES, distances
+from tables import read_csv, where
 
 from gsc_jax.benchmark.simulate import Failures, simulate
 
@@ -17,6 +21,13 @@ any_failures = st.builds(
     inverted=shares,
     softness=amounts,
 )
+
+
+def test_the_published_failures_are_the_best_draws_of_the_search():
+    rows = read_csv(Path(__file__).parents[2] / "docs" / "published_fit.csv")
+    for edit, failures in PUBLISHED.items():
+        best = distances(where(rows, edit=edit)).iloc[0]
+        assert {name: getattr(failures, name) for name in RANGES} == dict(best[list(RANGES)])
 
 
 @given(any_failures)

@@ -13,19 +13,21 @@ SCRIPTS = (
     "authentic",
     "beyond",
     "calibration",
+    "departures",
     "backbones",
     "editing",
     "enough",
     "fusion",
     "native",
     "parsimony",
+    "published",
     "published_fit",
     "robustness",
     "speed_accuracy",
     "stability",
     "unseen",
 )
-WITHOUT_CHART = ("fusion", "published_fit", "unseen")
+WITHOUT_CHART = ("departures", "fusion", "published", "published_fit", "unseen")
 
 
 @pytest.mark.slow

@@ -13,10 +13,11 @@ PINNED := .venv-pinned
 EXTRAS := dev
 PIP := python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: help demo test lint fuzz mutants bench results docs clean
+.PHONY: help demo demo-scan test lint fuzz mutants bench results docs clean
 
 help:
 	@echo 'make demo    find a pasted object in a generated scene; results go to demo/'
+	@echo 'make demo-scan  a small collection of scenes, scanned and ranked; results go to demo-scan/'
 	@echo 'make test    all tests'
 	@echo 'make lint    ruff and pyright, in an environment with pinned versions'
 	@echo 'make mutants do the tests notice changed operators and numbers? (hours; SAMPLES=20)'
@@ -29,6 +30,9 @@ help:
 
 demo: $(VENV)/installed
 	$(BIN)/gsc-jax demo --out demo
+
+demo-scan: $(VENV)/installed-dev
+	$(BIN)/python experiments/demo_scan.py demo-scan
 
 test: $(VENV)/installed-dev
 	$(BIN)/python -m pytest

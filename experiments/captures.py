@@ -26,13 +26,13 @@ from cases import DATA
 from garden import garden_cameras, make_garden
 from runner import DOCS, start
 from scipy.spatial.transform import Rotation
+from similarity import psnr
 from tables import markdown, write_csv, write_section
 from tqdm import tqdm
 from trainer import CaptureConfig, Strategy, camera_extent, capture
 
 from gsc_jax import load_cameras, load_ply, orbit_cameras
 from gsc_jax.benchmark.scenes import make_object, make_room, room_cameras
-from gsc_jax.benchmark.similarity import psnr
 from gsc_jax.io.cameras import save_cameras
 from gsc_jax.io.files import atomic
 from gsc_jax.io.ply import save_ply

@@ -14,8 +14,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
+from similarity import ssim
 
-from gsc_jax.benchmark.similarity import ssim
 from gsc_jax.render.reprojection import reprojected
 from gsc_jax.render.spherical_harmonics import Y0
 from gsc_jax.render.tiles import View, make_view

@@ -22,9 +22,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from gsc_jax.estimators import Estimator, Finding, Method, Prior, configured
-from gsc_jax.estimators.protocol import Reliability
+from gsc_jax.estimators.protocol import Outcome, Reliability, outcome
 from gsc_jax.estimators.robust.early_stopping import EarlyStopping, observe_until_stable
 from gsc_jax.evidence.detector import Detector, as_detector
+from gsc_jax.evidence.mask_checks import doubts
 from gsc_jax.evidence.masks import stored_masks, view_mask
 from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.evidence.observation import EVIDENCE, Observation, check_cameras, observe
@@ -77,6 +78,11 @@ class Result:
     stages: dict[str, dict[str, float]]
     seconds: float
     warnings: list[str]
+
+    @property
+    def outcome(self) -> Outcome | None:
+        """What the scene probability says; None for a method without one."""
+        return outcome(self.verdict)
 
     @property
     def method(self) -> str:
@@ -216,6 +222,11 @@ def _from_views(
         with monitor.stage("optimise"):
             # ... initial attribute (eq. 6), optimise (eq. 7 to 12), decide.
             finding = estimator.estimate(observation, prior)
+    with monitor.stage("optimise"):
+        reasons = doubts(observation, near=estimator.near)
+    if reasons and finding.verdict is not None:
+        without_masks = 0.5 if prior is None else prior.verdict
+        finding = dataclasses.replace(finding, verdict=min(finding.verdict, without_masks))
     return _Estimated(
         finding=finding,
         seen=observation.evidence.seen,
@@ -224,7 +235,7 @@ def _from_views(
         flagged=observation.masks,
         probabilities=observation.probabilities,
         early_stopping=stop,
-        warnings=[*_without_mask(cameras, chosen), *getattr(detector, "warnings", ())],
+        warnings=[*reasons, *_without_mask(cameras, chosen), *getattr(detector, "warnings", ())],
     )
 
 

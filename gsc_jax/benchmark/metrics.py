@@ -1,12 +1,9 @@
 """Metrics of masks and labels, and a naive baseline.
 
 The metrics are those of IMDL-BenCo, which the paper's tables use: P = TP / (TP + FP + e), R = TP /
-(TP + FN + e), F1 = 2 P R / (P + R + e) and IoU = TP / (TP + FP + FN + e) with e = 1e-8, for
-predictions and truths > 0.5, in each view; then the mean over the tampered views. In an authentic
-view F1 is 0 by construction, so it is measured by the flagged area. No metric picks the better of
-a mask and its complement.
-
-With one weight per entry, the same counts apply to labels of Gaussians, weighted by opacity.
+(TP + FN + e), F1 = 2 P R / (P + R + e) and IoU = TP / (TP + FP + FN + e) with e = 1e-8, in each
+view; then the mean over the tampered views. Authentic views are measured by the flagged area.
+Labels of Gaussians are counted likewise, weighted by opacity.
 """
 
 import dataclasses

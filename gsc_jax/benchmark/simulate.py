@@ -1,8 +1,7 @@
 """Simulated 2D detectors: the truth of each view, with named failures.
 
-Real 2D detectors miss the object, flag false blobs, flag the same authentic object from all sides,
-return the complement and draw ragged edges. `Failures` gives the strength of each failure, so that
-a method can be tested against one at a time; `REGIMES` are the reported settings.
+`Failures` gives the strength of each failure of real detectors, so that a method can be tested
+against one at a time; `REGIMES` are the reported settings.
 
 A mask is represented by its signed distance in pixels, positive inside: regions unite by the
 maximum, smooth noise makes edges ragged, and a logistic function turns distance into probability.

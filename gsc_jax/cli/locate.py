@@ -8,6 +8,7 @@ import hashlib
 import tempfile
 import uuid
 from importlib.metadata import distributions
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -32,7 +33,7 @@ from gsc_jax.evidence.detector import Detector
 from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.evidence.storage import ArrayStore
 from gsc_jax.io.cameras import camera_files
-from gsc_jax.io.files import memory_limit
+from gsc_jax.io.files import content_bytes, content_digest, memory_limit
 from gsc_jax.io.ply import PlyScene
 from gsc_jax.locate import locate
 from gsc_jax.render.visibility import check_views
@@ -44,7 +45,7 @@ EXPANDED = 16
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Inputs:
-    """The validated input of a run; `attributes`: whether those of the Gaussians are evidence."""
+    """The validated input of a run, and its files; `attributes`: whether they are evidence."""
 
     options: Locate
     estimator: Estimator
@@ -53,6 +54,7 @@ class Inputs:
     scene: PlyScene
     cameras: list[Camera]
     warnings: list[str]
+    files: list[Path]
 
 
 def read_inputs(options: Locate, *, monitor: Monitor) -> Inputs:
@@ -93,6 +95,7 @@ def read_inputs(options: Locate, *, monitor: Monitor) -> Inputs:
         scene=scene,
         cameras=cameras,
         warnings=warnings,
+        files=files,
     )
 
 
@@ -130,6 +133,10 @@ def locate_and_write(inputs: Inputs, *, prior: Prior | bool, monitor: Monitor) -
             seconds=monitor.elapsed(),
             warnings=[*inputs.warnings, *result.warnings],
             visible_share=float(np.mean([mask.mean() for mask in result.masks.values()])),
+            inputs={
+                str(path): {"bytes": content_bytes(path), "sha256": content_digest(path)}
+                for path in inputs.files
+            },
         )
         write_report(folder, dataclasses.asdict(options), located, monitor=monitor)
     return dataclasses.replace(located, seconds=monitor.elapsed())

@@ -202,6 +202,22 @@ class Evaluate:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
+class Verify:
+    """Compare files of results, and the inputs they came from, with their SHA-256 in the report.
+
+    for example:
+      gsc-jax verify found
+
+    The report itself has no seal: whoever passes results on states its SHA-256, which is printed.
+
+    Attributes:
+        folder: Folder with results of `locate`, `render` or `tamper`.
+    """
+
+    folder: Annotated[tyro.conf.Positional[Path], arg("DIR")]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class Locate(SceneOptions):
     r"""Find the tampered Gaussians of a scene.
 

@@ -5,6 +5,7 @@ small render would also go into sorting the Gaussians.
 """
 
 import dataclasses
+import hashlib
 import importlib.metadata
 import json
 import math
@@ -19,9 +20,9 @@ from typing import Any
 import jax
 import numpy as np
 
-from gsc_jax.cli.pictures import contact_sheet, jpeg_path, overlay, write_jpeg
+from gsc_jax.cli.pictures import CANDIDATE, TINT, contact_sheet, jpeg_path, overlay, write_jpeg
 from gsc_jax.cli.report.page import report_page
-from gsc_jax.cli.report.wording import Located, found_traces
+from gsc_jax.cli.report.wording import Located, are_candidates, found_traces
 from gsc_jax.cli.scene_input import evenly_spaced
 from gsc_jax.cli.staging import FILES, files_below
 from gsc_jax.evidence.monitor import Monitor
@@ -51,11 +52,15 @@ def write_results(
 ) -> None:
     """Write all results except report.html and result.json."""
     monitor = monitor or Monitor()
-    kept = {camera.name for camera in evenly_spaced(cameras, OVERVIEW_RENDERS)}
+    shares = {camera.name: result.masks[camera.name].mean() for camera in cameras}
+    most = sorted(cameras, key=lambda camera: -shares[camera.name])
+    shown = most if any(shares.values()) else evenly_spaced(cameras, OVERVIEW_RENDERS)
+    kept = {camera.name for camera in shown[:OVERVIEW_RENDERS]}
     monitor.progress("write", 0, len(cameras))
     save_cameras(folder / "views.json", cameras)
     save_tampered(folder / "tamper.ply", scene, result.tamper)
-    save_highlight(folder / "highlight.ply", scene.gaussians, result.labels)
+    candidates = are_candidates(result.verdict)
+    save_highlight(folder / "highlight.ply", scene.gaussians, result.labels, candidates=candidates)
     save_array(folder / "labels.npy", scene.expand(result.labels))
     save_array(folder / "tamper.npy", scene.expand(result.tamper))
     monitor.progress("write", 0, len(cameras))  # from here on, time is proportional to the views
@@ -71,7 +76,8 @@ def write_results(
             if camera.name in kept:
                 renders[camera.name] = image
             monitor.progress("write", done, len(cameras))
-    _write_overview(folder / "overview.png", renders, result)
+    ordered = {camera.name: renders[camera.name] for camera in most if camera.name in renders}
+    _write_overview(folder / "overview.png", ordered, result)
 
 
 def planned_outputs(cameras: Sequence[Camera]) -> list[str]:
@@ -113,6 +119,7 @@ def _numbers(command: dict[str, Any], located: Located) -> dict[str, Any]:
         "config": config,
         "seed": result.estimator.seed,
         "verdict": result.verdict,
+        "outcome": result.outcome,
         "attributes": prior and {"verdict": prior.verdict, "traces": traces},
         "counts": {
             "rows": scene.total,
@@ -130,6 +137,8 @@ def _numbers(command: dict[str, Any], located: Located) -> dict[str, Any]:
         "seconds": located.seconds,
         "stages": located.stages,
         "warnings": located.warnings,
+        "inputs": located.inputs,
+        "configuration": hashlib.sha256(json.dumps(jsonable(config)).encode()).hexdigest(),
         "versions": versions(),
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
     }
@@ -155,21 +164,26 @@ def _write_view(folder: Path, gaussians: Gaussians, camera: Camera, result: Resu
         write_probability(image_path(folder / "detector", name), result.probabilities[name])
     image = np.asarray(render(gaussians, camera, near=result.estimator.near)[0])
     write_jpeg(jpeg_path(folder / "render", name), image)
-    write_jpeg(jpeg_path(folder / "overlay", name), overlay(image, mask))
+    write_jpeg(jpeg_path(folder / "overlay", name), overlay(image, mask, _tint(result)))
     return image
+
+
+def _tint(result: Result) -> np.ndarray:
+    return CANDIDATE if are_candidates(result.verdict) else TINT
 
 
 def _write_overview(path: Path, renders: dict[str, np.ndarray], result: Result) -> None:
     """Render, probability map and mask of a few views, preferably of those with a detector mask."""
     judged = [name for name in renders if name in result.probabilities] or list(renders)
-    names = judged[:: -(-len(judged) // OVERVIEW_ROWS)]
+    names = judged[:OVERVIEW_ROWS]
     rows = []
     for name in names:
         image = renders[name]
         blank = np.zeros(image.shape[:2], np.float16)
         detector = [result.probabilities.get(name, blank)] if result.probabilities else []
-        rows.append([image, *detector, overlay(image, result.masks[name])])
-    titles = ["render", *(["2D detector"] if result.probabilities else []), "found"]
+        rows.append([image, *detector, overlay(image, result.masks[name], _tint(result))])
+    found = "candidates" if are_candidates(result.verdict) else "found"
+    titles = ["render", *(["2D detector"] if result.probabilities else []), found]
     contact_sheet(path, rows, titles=titles, labels=names)
 
 
@@ -190,7 +204,7 @@ def jsonable(value: Any) -> Any:
     Bytes of a path that are not UTF-8 become escapes, also inside warnings.
     """
     if isinstance(value, dict):
-        return {str(key): jsonable(entry) for key, entry in value.items()}
+        return {jsonable(str(key)): jsonable(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):
         return [jsonable(entry) for entry in value]
     if isinstance(value, np.generic):

@@ -7,7 +7,6 @@ run that was killed names files before they have been moved; it counts only with
 """
 
 import contextlib
-import hashlib
 import hmac
 import json
 import os
@@ -16,7 +15,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from gsc_jax.cli.cache import seal
-from gsc_jax.io.files import existing_file
+from gsc_jax.io.files import content_digest, existing_file
 from gsc_jax.io.tables import read_table
 from gsc_jax.scene import InputError
 
@@ -73,7 +72,7 @@ def is_output(out: Path, name: str, digests: Mapping[str, Any]) -> bool:
     """Whether a file in a folder of results is as it was written, by the digests in the report."""
     if name not in digests or not is_inside(out, name):
         return False
-    return name in REPORTS or digest(out / name) == digests[name]
+    return name in REPORTS or content_digest(out / name) == digests[name]
 
 
 def is_inside(out: Path, name: str) -> bool:
@@ -82,12 +81,6 @@ def is_inside(out: Path, name: str) -> bool:
         return False
     root, path = Path(os.path.realpath(out)), Path(os.path.realpath(out / name))
     return path.is_relative_to(root) and path == root / name and path.is_file()
-
-
-def digest(path: Path) -> str:
-    """SHA-256 of a file."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def refuse_foreign_file(path: Path, mark: str) -> None:

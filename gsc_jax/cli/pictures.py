@@ -13,16 +13,18 @@ TINT = np.array([1.0, 0.0, 0.4], np.float32)
 TINT_STRENGTH = 0.45
 OUTLINE = np.array([1.0, 0.95, 0.2], np.float32)
 """Outline beside a dark halo and a tint between red and magenta: visible on any background."""
+CANDIDATE = np.array([0.1, 0.45, 1.0], np.float32)
+"""Tint of what would be the edit if there was one."""
 CELL_INCHES, CELL_DPI = 3.2, 110
 JPEG_QUALITY = 90
 
 
-def overlay(rgb: np.ndarray, mask: np.ndarray) -> np.ndarray:
+def overlay(rgb: np.ndarray, mask: np.ndarray, tint: np.ndarray = TINT) -> np.ndarray:
     """Tint and outline a mask (H, W) in a copy of a picture (H, W, 3) in [0, 1]."""
     from scipy.ndimage import binary_dilation
 
     rgb, mask = np.asarray(rgb, np.float32), np.asarray(mask, bool)
-    tinted = (1 - TINT_STRENGTH) * rgb + TINT_STRENGTH * TINT
+    tinted = (1 - TINT_STRENGTH) * rgb + TINT_STRENGTH * tint
     picture = np.where(mask[..., None], tinted, rgb)
     width = max(1, round(min(mask.shape) / 240))  # 2 pixels in a render of 640x480
     outline = np.asarray(binary_dilation(mask, iterations=width)) & ~mask

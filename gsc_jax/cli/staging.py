@@ -22,7 +22,6 @@ import filelock
 from gsc_jax.cli.ownership import (
     JOURNAL,
     UNFINISHED,
-    digest,
     has_mark,
     is_output,
     listed_outputs,
@@ -30,6 +29,7 @@ from gsc_jax.cli.ownership import (
     refuse_blocked,
     sealed,
 )
+from gsc_jax.io.files import content_digest
 from gsc_jax.scene import InputError
 
 LOCK, NEW, VIEWS, IDENTITY = "lock", "new", "views", "views.txt"
@@ -168,7 +168,8 @@ def _commit(work: Path, out: Path, report: str) -> None:
 def _add_digests(new: Path, names: Sequence[str], report: str) -> None:
     """List the files in the report, with the digests by which the next run recognises them."""
     content = json.loads((new / report).read_text("utf-8"))
-    content["outputs"] = {name: None if name == report else digest(new / name) for name in names}
+    digests = {name: content_digest(new / name) for name in names if name != report}
+    content["outputs"] = {name: digests.get(name) for name in names}
     text = json.dumps(content, indent=2, ensure_ascii=False)
     (new / report).write_text(text + "\n", "utf-8")
 

@@ -9,8 +9,8 @@ from importlib.resources import files
 import jinja2
 from markupsafe import Markup
 
-from gsc_jax.cli.report.wording import MIN_EDITED
 from gsc_jax.collection.record import Row
+from gsc_jax.estimators.protocol import EVIDENCE_FROM
 
 MARK = "<!-- gsc_jax collection -->"
 SHOWN = ("id", "scene_probability", "labelled_share", "gaussians", "bytes", "seconds")
@@ -42,7 +42,7 @@ def collection_page(rows: Sequence[Row]) -> str:
     return template.render(
         mark=Markup(MARK),
         count=len(rows),
-        edited=sum(probability >= MIN_EDITED for probability in probabilities),
+        edited=sum(probability >= EVIDENCE_FROM for probability in probabilities),
         bins=[bins[index] for index in range(10)],
         errors=Counter(row["error_class"] for row in rows if row["error_class"]).most_common(),
         traces=Counter(name for row in rows for name in row["traces"] or ()).most_common(),

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from gsc_jax.cli.outputs import PACKAGES, jsonable
-from gsc_jax.io.files import GIB, memory_limit
+from gsc_jax.io.files import GIB, content_digest, memory_limit
 from gsc_jax.scene import InputError
 
 WITHOUT_EFFECT = ("scene", "out", "config", "dry_run", "memory", "no_cache", "cameras", "masks")
@@ -74,13 +74,3 @@ class ScanSettings:
             ).hexdigest(),
         }
         return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
-
-
-def content_digest(path: Path) -> str:
-    """SHA-256 of a file, or of the names and digests of all files of a folder."""
-    if not path.is_dir():
-        with path.open("rb") as stream:
-            return hashlib.file_digest(stream, "sha256").hexdigest()
-    inside = sorted(place for place in path.rglob("*") if place.is_file())
-    lines = [f"{place.relative_to(path)} {content_digest(place)}" for place in inside]
-    return hashlib.sha256("\n".join(lines).encode("utf-8", "surrogateescape")).hexdigest()

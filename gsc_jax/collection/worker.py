@@ -18,8 +18,8 @@ from typing import Any
 from gsc_jax.collection.ledger import Claim
 from gsc_jax.collection.process import SceneProcess
 from gsc_jax.collection.record import Row, complete, write_row
-from gsc_jax.collection.settings import ScanSettings, content_digest
-from gsc_jax.io.files import GIB
+from gsc_jax.collection.settings import ScanSettings
+from gsc_jax.io.files import GIB, content_digest
 
 UNREAD = ""
 """Key of a scene that cannot be read."""

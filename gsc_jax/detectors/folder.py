@@ -8,8 +8,7 @@ these rules, from exact to loose:
 3. Both are equal without any image suffix (camera "img", file img.JPG.png).
 4. to 6. The same for the last path component, if the file or the camera has no folder.
 
-The most exact match counts, and a file belongs to the camera that it matches most exactly. Two
-equally exact matches are an error. Names are case-sensitive, suffixes are not.
+The most exact match counts, two equally exact ones are an error. Suffixes have no case.
 """
 
 import contextlib

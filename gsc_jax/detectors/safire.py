@@ -3,11 +3,9 @@
 SAFIRE (Kwon et al., "Segment Any Forged Image Region", AAAI 2025) builds on SAM. The encoder
 computes embeddings of the image; for a point, the decoder segments the part of the image that has
 the same source. From its test code: input size 1024 without keeping the aspect ratio, the channel
-statistics of SAM, a grid of 16 x 16 single-point prompts, and `safire_regions`. Unlike the test
-code, the image is resized with a low-pass filter and not rounded to 8 bits.
+statistics of SAM, a grid of 16 x 16 single-point prompts, and `safire_regions`.
 
-Two ONNX files, whose tensors are identified by position and listed below; further outputs are
-ignored. docs/detectors.md has the export.
+Two ONNX files, whose tensors are identified by position and listed below (docs/detectors.md).
 """
 
 import functools

@@ -16,12 +16,25 @@ from gsc_jax.scene.errors import check_ranges
 Reliability = Literal["reliable", "uninformative", "inverted", "unseen"]
 """Reliability of a mask: it flags most of the labelled Gaussians in the view, it does not, it flags
 everything else, or the view does not show them."""
+Outcome = Literal["evidence", "inconclusive", "none"]
+"""What a scene probability says: there is evidence of editing, it does not decide, or none."""
+EVIDENCE_FROM, NONE_BELOW = 0.65, 0.35
+"""Scene probabilities from which there is evidence, about 2 to 1 odds, and below which none."""
 DISAGREEMENT = "Pixels were flagged, but the views agree on no tampered Gaussian."
 """Warning of an estimator that labels nothing although masks are not empty."""
 MAX_SEED = 2**32 - 1
 """Largest seed that both NumPy and JAX accept."""
 NONE_FLAGGED = "All masks are empty."
 ALL_FLAGGED = "The masks cover everything in every view."
+
+
+def outcome(verdict: float | None) -> Outcome | None:
+    """What a scene probability says; None if there is none."""
+    if verdict is None:
+        return None
+    if verdict >= EVIDENCE_FROM:
+        return "evidence"
+    return "none" if verdict < NONE_BELOW else "inconclusive"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

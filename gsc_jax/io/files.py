@@ -4,6 +4,7 @@ Each reader checks what a file needs before it allocates it.
 """
 
 import contextlib
+import hashlib
 import math
 import os
 import uuid
@@ -49,6 +50,22 @@ def existing_file(path: str | Path, *, expected: str) -> Path:
     if not path.is_file():
         raise InputError(f"{path}: no such file, expected {expected}; check the path")
     return path
+
+
+def content_digest(path: Path) -> str:
+    """SHA-256 of a file, or of the names and digests of all files of a folder."""
+    if not path.is_dir():
+        with path.open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    inside = sorted(place for place in path.rglob("*") if place.is_file())
+    lines = [f"{place.relative_to(path).as_posix()} {content_digest(place)}" for place in inside]
+    return hashlib.sha256("\n".join(lines).encode("utf-8", "surrogateescape")).hexdigest()
+
+
+def content_bytes(path: Path) -> int:
+    """Size of a file, or of all files of a folder."""
+    inside = path.rglob("*") if path.is_dir() else [path]
+    return sum(place.stat().st_size for place in inside if place.is_file())
 
 
 GIB = 2**30

@@ -4,9 +4,7 @@ A mask is grey: black is authentic, white is tampered, levels between them are p
 Colour, alpha and palettes are accepted where they have only one meaning. One file does not show
 whether levels 0 and 1 of 8 bits are a 0/1 mask or the two darkest probabilities; see
 `read_probability` for the default. `gsc_jax.detectors.folder` decides once for a whole folder.
-
-Files written here preserve every decision: `p > 0.5` holds after reading exactly where it held
-before writing.
+Files written here preserve `p > 0.5` exactly.
 """
 
 import contextlib

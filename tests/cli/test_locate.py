@@ -23,9 +23,11 @@ pytestmark = pytest.mark.usefixtures("own_cache")
 def test_the_summary_counts_labels_and_names_files(found):
     out, answer = found
     assert answer.code == 0
-    first = answer.out.splitlines()[0]
+    conflict, first = answer.out.splitlines()[:2]
     labels = np.load(out / "labels.npy")
-    assert first.startswith(f"{labels.sum():,} of {COUNT - len(BROKEN)} Gaussians")
+    assert "attributes of the Gaussians alone do not" in conflict
+    count = f"{labels.sum():,} of {COUNT - len(BROKEN)} Gaussians"
+    assert first.startswith(f"Evidence of editing. {count}")
     assert "3 views" in first
     for name in ("report.html", "overview.png", "tamper.ply", "result.json"):
         assert str(out / name) in answer.out

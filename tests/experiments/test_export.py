@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from export import CODEBOOK, COLOUR_STEP, EXPORTERS, SCALE_STEP, export
 from histories import MIN_OPACITY, level_of_detail, morton_order
+from similarity import psnr
 from strategies import random_scene, with_row
 
 from gsc_jax.benchmark.scenes import make_room, room_cameras
-from gsc_jax.benchmark.similarity import psnr
 from gsc_jax.scene import invalid_rows
 from gsc_jax.splat import render
 

@@ -6,11 +6,11 @@ import numpy as np
 import optimised
 import pytest
 from optimised import IMAGE_EDITS, Refinement, laundered, optimise_region, refine
+from similarity import psnr
 
 from gsc_jax.benchmark.metrics import truth_mask
 from gsc_jax.benchmark.regions import measure_visibility
 from gsc_jax.benchmark.scenes import tampered_room
-from gsc_jax.benchmark.similarity import psnr
 from gsc_jax.scene import Gaussians
 from gsc_jax.splat import render
 

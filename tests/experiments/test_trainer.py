@@ -16,13 +16,13 @@ from densification import (
 )
 from scipy.spatial.transform import Rotation
 from scipy.special import expit
+from similarity import psnr, ssim
 from skimage.metrics import structural_similarity
 from strategies import random_scene
 from trainer import CaptureConfig, _forgotten, capture, initial_scene, learning_rates
 
 import gsc_jax
 from gsc_jax.benchmark.scenes import tampered_room
-from gsc_jax.benchmark.similarity import psnr, ssim
 from gsc_jax.render.spherical_harmonics import Y0
 
 ROOM = tampered_room(count=2_000, views=13, heldout=0, width=48, height=36)

@@ -8,7 +8,7 @@ the page selects one. Colours C0 (tampered) and C1 (authentic) repeat those of r
 import base64
 import dataclasses
 import io
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import jax
@@ -79,52 +79,20 @@ MAX_SAMPLE = 2**19
 """More Gaussians would change no chart visibly, and take memory."""
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Distribution:
-    """Values of one attribute of tampered (A,) and of authentic Gaussians (B,)."""
+def shares(groups: Sequence[np.ndarray], bins: int) -> tuple[list[np.ndarray], np.ndarray]:
+    """Share of each group per bin, and the edges of the bins.
 
-    title: str
-    unit: str
-    tampered: np.ndarray
-    authentic: np.ndarray
-
-    def shares(self, bins: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Share of each group per bin, and the edges of the bins.
-
-        The bins span the 0.5% to 99.5% quantiles of both groups; the outermost include the rest.
-        """
-        groups = (self.tampered, self.authentic)
-        quantiles = np.concatenate([np.quantile(group, [0.005, 0.995]) for group in groups])
-        low, high = float(quantiles.min()), float(quantiles.max())
-        margin = max(high - low, 1e-6 * max(abs(low), 1.0)) / bins
-        edges = np.linspace(low - margin, high + margin, bins + 1)
-        tampered, authentic = (
-            np.histogram(np.clip(group, edges[0], edges[-1]), edges)[0] / len(group)
-            for group in groups
-        )
-        return tampered, authentic, edges
-
-
-def attribute_distributions(
-    gaussians: Gaussians, labels: np.ndarray, seen: np.ndarray
-) -> list[Distribution]:
-    """Distributions of attributes of the visible Gaussians by label; none if a group is empty.
-
-    Of large scenes, at most `MAX_SAMPLE` Gaussians at even distances in the file are used.
+    The bins span the 0.5% to 99.5% quantiles of all groups; the outermost include the rest.
     """
-    sample = slice(None, None, -(-len(labels) // MAX_SAMPLE) or None)
-    gaussians = jax.tree.map(np.asarray, gaussians).take(sample)
-    labels, seen = labels[sample], seen[sample]
-    tampered, authentic = seen & labels, seen & ~labels
-    if not (tampered.any() and authentic.any()):
-        return []
-    return [
-        Distribution(title=title, unit=unit, tampered=values[tampered], authentic=values[authentic])
-        for title, unit, values in _attributes(gaussians)
-    ]
+    quantiles = np.concatenate([np.quantile(group, [0.005, 0.995]) for group in groups])
+    low, high = float(quantiles.min()), float(quantiles.max())
+    margin = max(high - low, 1e-6 * max(abs(low), 1.0)) / bins
+    edges = np.linspace(low - margin, high + margin, bins + 1)
+    clipped = [np.clip(group, edges[0], edges[-1]) for group in groups]
+    return [np.histogram(group, edges)[0] / len(group) for group in clipped], edges
 
 
-def _attributes(gaussians: Gaussians) -> Iterator[tuple[str, str, np.ndarray]]:
+def attributes(gaussians: Gaussians) -> Iterator[tuple[str, str, np.ndarray]]:
     """Title, unit and values (N,) of each attribute."""
     log_scales = np.maximum(np.asarray(gaussians.log_scales, np.float64), MIN_LOG_SCALE)
     decades = log_scales / np.log(10)
@@ -175,27 +143,36 @@ def score_histogram(result: Result) -> Chart:
 
 
 def attribute_charts(gaussians: Gaussians, result: Result) -> list[Chart]:
-    """A chart per attribute of the visible tampered and authentic Gaussians; perhaps none."""
-    found = attribute_distributions(gaussians, result.labels, result.seen)
-    return [_attribute_chart(distribution) for distribution in found]
+    """A chart per attribute of the visible tampered and authentic Gaussians; none without both.
+
+    Of large scenes, at most `MAX_SAMPLE` Gaussians at even distances in the file are used.
+    """
+    sample = slice(None, None, -(-len(result.labels) // MAX_SAMPLE) or None)
+    host = jax.tree.map(np.asarray, gaussians).take(sample)
+    labels, seen = result.labels[sample], result.seen[sample]
+    groups = seen & labels, seen & ~labels
+    if not all(group.any() for group in groups):
+        return []
+    return [
+        _attribute_chart(title, unit, [values[group] for group in groups])
+        for title, unit, values in attributes(host)
+    ]
 
 
-def _attribute_chart(distribution: Distribution) -> Chart:
-    tampered, authentic, edges = distribution.shares(ATTRIBUTE_BINS)
+def _attribute_chart(title: str, unit: str, groups: Sequence[np.ndarray]) -> Chart:
+    (tampered, authentic), edges = shares(groups, ATTRIBUTE_BINS)
 
     def plot(axes: "Axes") -> None:
         _draw_tampered(axes, tampered, edges)
         _draw_authentic(axes, authentic, edges)
-        axes.set(ylim=(0, None), yticks=[], xlabel=distribution.unit)
+        axes.set(ylim=(0, None), yticks=[], xlabel=unit)
         axes.locator_params(axis="x", nbins=5)
         axes.spines["left"].set_visible(False)
 
-    text = (
-        f"Medians: tampered {np.median(distribution.tampered):.3g}, authentic "
-        f"{np.median(distribution.authentic):.3g}; overlap "
-        f"{np.minimum(tampered, authentic).sum():.0%}."
-    )
-    return chart(plot, title=distribution.title, text=text, size=(3.1, 2.0))
+    medians = [np.median(group) for group in groups]
+    overlap = np.minimum(tampered, authentic).sum()
+    text = f"Medians: {medians[0]:.3g}, others {medians[1]:.3g}; overlap {overlap:.0%}."
+    return chart(plot, title=title, text=text, size=(3.1, 2.0))
 
 
 def _draw_tampered(axes: "Axes", heights: np.ndarray, edges: np.ndarray) -> None:

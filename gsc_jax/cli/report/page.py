@@ -49,6 +49,9 @@ def report_page(
         result=result,
         wording=wording,
         headline=wording.headline(report["verdict"], counts["tampered"]),
+        candidates=wording.are_candidates(report["verdict"]),
+        conflict=report["judged_views"]
+        and wording.disagreement(report["verdict"], result.prior and result.prior.verdict),
         lead=wording.labels_sentence(
             counts["tampered"],
             counts["gaussians"],
@@ -57,7 +60,10 @@ def report_page(
             covered=report["tampered_share_of_views"],
         ),
         traces=sorted(getattr(result.prior, "traces", ()), key=lambda trace: not trace.found),
-        views=list(zip(views, images, strict=True)),
+        views=sorted(
+            zip(range(len(views)), views, images, strict=True),
+            key=lambda view: -view[1]["tampered_share"],
+        ),
         layers={name: title for name, title in LAYERS.items() if name in present},
         histogram=score_histogram(result),
         attributes=attribute_charts(located.scene.gaussians, result),
@@ -90,12 +96,17 @@ def _tables(report: Mapping[str, Any]) -> dict[str, list[tuple[str, str]]]:
         "Counts": rows,
         "Configuration": _flat(report["config"]),
         "Command": _flat(options),
+        "Inputs": [(path, _digest(**facts)) for path, facts in report["inputs"].items()],
         "Versions": _flat(report["versions"]),
     }
 
 
 def _usage(seconds: float, peak_mib: float | None) -> str:
     return f"{seconds:.2f} s" + ("" if peak_mib is None else f", peak {peak_mib:,.0f} MiB")
+
+
+def _digest(bytes: int, sha256: str) -> str:
+    return f"{bytes:,} bytes, SHA-256 {sha256}"
 
 
 def _flat(value: Any, name: str = "") -> list[tuple[str, str]]:

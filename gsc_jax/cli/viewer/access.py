@@ -5,9 +5,7 @@ them; viser answers all of them. Here, every request, that of a WebSocket includ
 random token as the first folder of its path, must come from a page of the server itself (Origin),
 and must name the server by an address of its own (Host), not by a name that an attacker lets point
 to it. Others are refused with status 403. The port is not compared, since ssh may forward another.
-
-viser has no option for this; it starts its server with `websockets.asyncio.server.serve`, whose
-`process_request` sees each request first. That function is replaced while viser starts.
+viser has no option for this, so the `serve` of `websockets` is replaced while viser starts.
 """
 
 import contextlib

@@ -68,8 +68,6 @@ def pose(camera: Camera, means: Array, *, up: Array, near: float = NEAR) -> Pose
 
 MAX_DEPTH_SAMPLES = 20_000
 """Gaussians from which the depth of each view is estimated; more do not change a median."""
-FRUSTUM_SCALE = 0.08
-"""Size of a drawn camera relative to its distance from what it looks at."""
 LEGEND_COLOURS = 9
 
 
@@ -85,7 +83,6 @@ class Contents:
         up: Unit up direction, shape (3,).
         near: Near plane in world units.
         far: Far plane: twice the diagonal of the box around all splats, cameras and their targets.
-        frustum: Size of a drawn camera in world units.
     """
 
     title: str
@@ -97,7 +94,6 @@ class Contents:
     up: np.ndarray
     near: float
     far: float
-    frustum: float
 
 
 def viewer_contents(results: Results, *, most: int) -> tuple[Contents, list[str]]:
@@ -109,7 +105,6 @@ def viewer_contents(results: Results, *, most: int) -> tuple[Contents, list[str]
     near = float(results.report["config"]["near"])
     up = mean_up(results.cameras)
     poses = [pose(camera, sample, up=up, near=near) for camera in results.cameras]
-    distances = [np.linalg.norm(place.look_at - place.position) for place in poses]
     places = [place for pose in poses for place in (pose.position, pose.look_at)]
     diagonal = np.linalg.norm(np.ptp(np.concatenate([chosen.centers, places]), axis=0))
     contents = Contents(
@@ -122,7 +117,6 @@ def viewer_contents(results: Results, *, most: int) -> tuple[Contents, list[str]
         up=up,
         near=near,
         far=2 * float(diagonal),
-        frustum=FRUSTUM_SCALE * float(np.median(distances)),
     )
     return contents, _omission(results, rows)
 

@@ -71,10 +71,10 @@ def add_layer_controls(server: "viser.ViserServer", contents: Contents) -> Layer
 
 
 def _add_camera_controls(server: "viser.ViserServer", contents: Contents) -> None:
-    """Draw the cameras; jump to them by name, one after the other, or by a click."""
+    """Jump to the cameras, by name or one after the other."""
     gui, poses = server.gui, contents.poses
     names = [pose.name for pose in poses]
-    frustums = add_cameras(server, contents)
+    set_first_view(server, contents)
     with gui.add_folder("cameras"):
         chosen = gui.add_dropdown("camera", names, initial_value=names[0])
         steps = gui.add_button_group("jump", ("previous", "here", "next"))
@@ -93,9 +93,6 @@ def _add_camera_controls(server: "viser.ViserServer", contents: Contents) -> Non
         step = {"previous": -1, "here": 0, "next": 1}[steps.value]
         jump(event.client, names.index(chosen.value) + step)
 
-    for index, frustum in enumerate(frustums):
-        frustum.on_click(lambda event, index=index: jump(event.client, index))
-
 
 def set_view(client: "viser.ClientHandle", pose: Pose) -> None:
     """Move the view of one browser to a camera."""
@@ -106,35 +103,13 @@ def set_view(client: "viser.ClientHandle", pose: Pose) -> None:
         client.camera.fov = pose.fov
 
 
-FRUSTUM_COLOUR = (255, 170, 0)
-FRUSTUM_PIXELS = 1.5
-
-
-def add_cameras(
-    server: "viser.ViserServer", contents: Contents
-) -> "list[viser.CameraFrustumHandle]":
-    """Set the first view and draw the cameras."""
+def set_first_view(server: "viser.ViserServer", contents: Contents) -> None:
+    """Start at the first camera."""
     first, start = server.initial_camera, contents.poses[0]
     server.scene.set_up_direction(contents.up)
     server.scene.world_axes.visible = False
     first.position, first.look_at, first.up = start.position, start.look_at, start.up
     first.fov, first.near, first.far = start.fov, contents.near, contents.far
-    return [
-        server.scene.add_camera_frustum(
-            f"/cameras/{index}",
-            fov=pose.fov,
-            aspect=pose.aspect,
-            scale=contents.frustum,
-            thickness=FRUSTUM_PIXELS,
-            thickness_units="screen",
-            color=FRUSTUM_COLOUR,
-            wxyz=pose.wxyz,
-            position=pose.position,
-            cast_shadow=False,
-            receive_shadow=False,
-        )
-        for index, pose in enumerate(contents.poses, start=1)
-    ]
 
 
 def add_splats(

@@ -23,7 +23,7 @@ from gsc_jax.cli.ownership import refuse_foreign_file
 from gsc_jax.cli.results import read_results
 from gsc_jax.cli.viewer.access import Access, guarded
 from gsc_jax.cli.viewer.contents import Contents, Pose, legend, viewer_contents
-from gsc_jax.cli.viewer.controls import add_cameras, add_layers, add_viewer
+from gsc_jax.cli.viewer.controls import add_layers, add_viewer, set_first_view
 from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.io.files import atomic, memory_limit
 from gsc_jax.scene import InputError
@@ -81,7 +81,7 @@ def write_page(path: Path, contents: Contents) -> str:
     refuse_foreign_file(path, TITLE_END)
     with serving(Access(host="127.0.0.1"), port=0) as server:
         add_layers(server, contents)
-        add_cameras(server, contents)
+        set_first_view(server, contents)
         html = viewer_page(server.scene.as_html(dark_mode=True), contents)
     with atomic(path) as temporary:
         temporary.write_text(html, encoding="utf-8")

@@ -10,7 +10,7 @@ from gsc_jax.render.spherical_harmonics import Y0
 from gsc_jax.scene import Array, Gaussians
 from gsc_jax.scene.gaussians import rotation_matrices
 
-Layer = Literal["original", "heat map", "tampered only", "authentic only"]
+Layer = Literal["heat map", "original", "tampered only", "authentic only"]
 LAYERS: tuple[Layer, ...] = get_args(Layer)
 COLORMAP = "viridis"
 """Perceptually uniform, also for colour-blind readers."""

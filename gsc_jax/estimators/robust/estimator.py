@@ -1,7 +1,7 @@
 """`robust`, the estimator beyond the paper, for masks of unknown reliability.
 
-It starts from the same evidence as GS-Checker. GS-Checker weights everything outside the masks by
-the same lambda2 in every view; `robust` infers the reliability of each mask instead:
+GS-Checker weights all that is outside the masks by the same lambda2 in every view; `robust` infers
+the reliability of each mask from the same evidence:
 
 1. latent classes: Gaussians with the same pattern of flagged views (`latent_classes`);
 2. roles: which classes are authentic, tampered or distractors, and which views are inverted

@@ -24,15 +24,12 @@ Masks that missed 42 edits in 40 % of the views had 0.19 or more."""
 def fuse(
     probability: np.ndarray, verdict: float, seen: np.ndarray, prior: Prior, weight: float = 1.0
 ) -> tuple[np.ndarray, float]:
-    """Fuse probabilities from masks with a prior.
+    """Fuse probabilities from masks with a prior, as docs/method.md derives it.
 
     Where the masks do not count, the prior counts with the probability that it is correct, its
     verdict: for Gaussians that no view sees, and anywhere if the verdict of the masks is below
-    `MIN_MASK_VERDICT`. An exact prior and the masks are each correct or not, independently: the one
-    that alone is correct counts, both equally if both are, and the masks if neither is.
-
-    The fused verdict includes only evidence of the prior *for* an edit: an edit need not show in
-    the prior, so that its absence there is no evidence.
+    `MIN_MASK_VERDICT`. An exact prior and the masks are each correct or not, independently. The
+    fused verdict includes only evidence of the prior *for* an edit, which need not show in it.
 
     `probability` (N,) and `verdict`, that of the scene, are from the masks; `seen` (N,) is True for
     Gaussians visible in at least one view; the prior has a weight in [0, 1]. Returns probabilities,

@@ -3,11 +3,14 @@
 from pathlib import Path
 
 import hypothesis.strategies as st
+import pytest
 from hypothesis import example, given
 from reports import run
 from strategies import random_scene
+from tables import read_csv
 
 from gsc_jax.cli.report import wording
+from gsc_jax.estimators.protocol import EVIDENCE_FROM, outcome
 from gsc_jax.forensics.evidence import forensic_evidence
 
 NAMES = [f"view {i:02}" for i in range(8)]
@@ -20,10 +23,31 @@ def test_summary_names_the_report_the_traces_and_the_reliability(tmp_path: Path)
     assert any("2 reliable, 2 inverted, 2 uninformative" in line for line in lines)
 
 
-def test_summary_starts_with_the_headline_only_if_the_labels_are_doubtful(tmp_path: Path):
-    for verdict, start in ((0.5, wording.headline(0.5, 100)), (0.97, "100 of 400")):
-        located = run(tmp_path, NAMES[:1], verdict=verdict)
-        assert wording.summary(located, Path("out"))[0].startswith(start)
+def test_summary_starts_with_the_outcome(tmp_path: Path):
+    for verdict, start in ((0.1, "No evidence"), (0.5, "Inconclusive"), (0.97, "Evidence of")):
+        lines = wording.summary(run(tmp_path, NAMES[:1], verdict=verdict), Path("out"))
+        first = next(line for line in lines if not line.startswith("The masks show"))
+        assert first.startswith(start)
+        assert ("candidates" in first) == (verdict < 0.65)
+
+
+def test_a_conflict_of_masks_and_attributes_is_the_first_sentence():
+    assert "(16%)" in str(wording.disagreement(0.98, 0.16))
+    assert not any(wording.disagreement(*pair) for pair in ((0.98, 0.5), (0.5, 0.1), (0.9, None)))
+
+
+def test_the_rates_of_the_outcomes_are_those_of_the_tables():
+    docs = Path(wording.__file__).parents[3] / "docs"
+    tables = {True: read_csv(docs / "calibration.csv"), False: read_csv(docs / "heldout.csv")}
+    tables[True] = tables[True][tables[True].bin == -1]
+    tables[False] = tables[False].drop_duplicates(["host", "edit", "seed"])
+    for masks, rows in tables.items():
+        found = rows.verdict.map(outcome)
+        for name, rates in wording.RATES[masks].items():
+            shares = [
+                (found[rows.edit.eq("none") == kind] == name).mean() for kind in (True, False)
+            ]
+            assert rates == pytest.approx(shares, abs=0.006)
 
 
 def test_numbers_are_rounded_to_bounds():
@@ -42,14 +66,14 @@ def test_share_is_zero_or_all_only_if_exact(part: float):
     assert (text == "100%") == (part == 1)
 
 
-def test_labels_are_conditional_if_the_scene_probability_is_low():
-    for verdict in (0.0, 0.4, wording.MIN_EDITED - 1e-6):
+def test_labels_are_candidates_without_evidence_of_editing():
+    for verdict in (0.0, 0.4, EVIDENCE_FROM - 1e-6):
         text = wording.labels_sentence(3, 10, verdict=verdict, views=1, covered=0.5)
-        assert text.startswith("If the scene was edited: 3 of 10 Gaussians")
+        assert text.startswith("3 of 10 Gaussians (30.0%) are candidates: if anything was edited")
         assert "None of 10" in wording.labels_sentence(0, 10, verdict=verdict, views=1, covered=0.0)
-    for verdict in (None, wording.MIN_EDITED, 1.0):
+    for verdict in (None, EVIDENCE_FROM, 1.0):
         text = wording.labels_sentence(3, 10, verdict=verdict, views=1, covered=0.5)
-        assert text.startswith("3 of 10 Gaussians")
+        assert text.startswith("3 of 10 Gaussians (30.0%) are labelled as tampered")
 
 
 def test_every_trace_has_an_explanation():

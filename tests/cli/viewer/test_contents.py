@@ -74,7 +74,6 @@ def test_lengths_scale_with_the_scene(results: Results, size: float):
     contents, _ = viewer_contents(results, most=ALL)
     other, _ = viewer_contents(scaled(results, size), most=ALL)
     assert other.far == pytest.approx(size * contents.far, rel=1e-3)
-    assert other.frustum == pytest.approx(size * contents.frustum, rel=1e-3)
 
 
 def test_sentences_without_labels_and_without_scene_probability(results: Results):

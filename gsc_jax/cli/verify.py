@@ -1,0 +1,44 @@
+"""`gsc-jax verify`: are results, and the inputs they came from, as they were?"""
+
+from pathlib import Path
+from typing import Any
+
+from gsc_jax.cli.options import Verify
+from gsc_jax.cli.ownership import REPORTS, is_inside, listed_outputs
+from gsc_jax.io.files import content_digest
+from gsc_jax.io.tables import read_table
+from gsc_jax.scene import InputError
+
+
+def run_verify(options: Verify) -> tuple[list[str], list[str]]:
+    """Compare all digests; lines to print, and warnings about inputs that are not there.
+
+    Raises:
+        InputError: if there is no report, or a file has changed or is missing.
+    """
+    out = options.folder
+    report = next((name for name in REPORTS if listed_outputs(out, name)), None)
+    if report is None:
+        raise InputError(f"{out}: holds no results with digests ({', '.join(REPORTS)})")
+    outputs = listed_outputs(out, report)
+    del outputs[report]
+    for name, sha256 in outputs.items():
+        if not is_inside(out, name):
+            raise InputError(f"{out / name}: is missing, {report} lists it")
+        _compare(out / name, sha256, report)
+    inputs = read_table(out / report, remedy="").get("inputs", {})
+    there = {path: facts for path, facts in inputs.items() if Path(path).exists()}
+    for path, facts in there.items():
+        _compare(Path(path), facts["sha256"], report)
+    return [
+        f"outputs  {len(outputs)} files are as they were written",
+        f"inputs   {len(there)} of {len(inputs)} are as they were read",
+        f"report   {out / report}: SHA-256 {content_digest(out / report)}",
+    ], [f"{path}: is not there and was not compared" for path in inputs if path not in there]
+
+
+def _compare(path: Path, sha256: Any, report: str) -> None:
+    found = content_digest(path)
+    if found != sha256:
+        sums = f"its SHA-256 is {found[:16]}..., in {report} {str(sha256)[:16]}..."
+        raise InputError(f"{path}: has changed: {sums}; get the original")

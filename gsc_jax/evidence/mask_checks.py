@@ -1,0 +1,120 @@
+"""Are masks evidence at all? Masks that a property of the image explains, or that no region does.
+
+A detector that thresholds the brightness is consistent over the views like a good one, since what
+it flags is a region of the scene. Masks of another scene, or in the wrong order, are not.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from gsc_jax.evidence.lifting import EvidenceOfViews
+from gsc_jax.evidence.observation import Observation
+from gsc_jax.render.projection import NEAR
+from gsc_jax.scene import Camera, Gaussians
+from gsc_jax.splat import render
+
+CHECKED = 6
+"""Views that are compared with their masks."""
+MIN_ACCURACY = 0.98
+"""Balanced accuracy from which a threshold on a property explains masks; those of edits have less
+(experiments/mask_checks.py)."""
+MIN_CORRELATION = 0.1
+"""Correlation below which the masks of other views say nothing about those of a view: that of false
+blobs is lower, that of the mixture of all failures higher."""
+QUANTILES = 64
+"""Thresholds that are tried."""
+
+
+def properties(image: np.ndarray) -> dict[str, np.ndarray]:
+    """Simple properties of the pixels of an image (H, W, 3) in [0, 1], by name, each (H, W)."""
+    high, low = image.max(axis=-1), image.min(axis=-1)
+    brightness = image.mean(axis=-1)
+    named = dict(zip(("red", "green", "blue"), np.moveaxis(image, -1, 0), strict=True))
+    named |= {"brightness": brightness, "saturation": (high - low) / np.maximum(high, 1e-6)}
+    return named | {"edges": np.hypot(*np.gradient(brightness))}
+
+
+def doubts(observation: Observation, *, near: float = NEAR) -> list[str]:
+    """Reasons why the masks of an observation are no evidence of an edit, as sentences."""
+    found = []
+    name = followed_property(observation.gaussians, observation.cameras, observation.masks, near)
+    if name is not None:
+        found.append(
+            f"The masks follow the {name} of the images: one threshold on it separates what they "
+            "flag in all views. They are no evidence of an edit; use another detector."
+        )
+    agreed = agreement(observation.evidence)
+    if agreed is not None and agreed < MIN_CORRELATION:
+        found.append(
+            f"The masks of different views flag the same Gaussians hardly more often than chance "
+            f"would (correlation {agreed:.2f}). They are no evidence of an edit; are they of these "
+            "cameras and of this scene?"
+        )
+    return found
+
+
+def followed_property(
+    gaussians: Gaussians,
+    cameras: Sequence[Camera],
+    masks: Mapping[str, np.ndarray],
+    near: float = NEAR,
+) -> str | None:
+    """Name of a property of the image, a threshold on which separates what the masks flag.
+
+    One threshold has to serve all of up to `CHECKED` views that are partly flagged, with a balanced
+    accuracy of `MIN_ACCURACY`.
+
+    Args:
+        gaussians: N Gaussians.
+        cameras: Views with a mask.
+        masks: Boolean masks (H, W) by camera name.
+        near: Near plane in world units.
+    """
+    partly = [c for c in cameras if 0.001 < np.mean(masks[c.name]) < 0.999]
+    chosen = partly[:: max(1, -(-len(partly) // CHECKED))]
+    if len(chosen) < 2:
+        return None
+    flagged = np.concatenate([np.ravel(masks[camera.name]) for camera in chosen]).astype(bool)
+    images = [properties(np.asarray(render(gaussians, c, near=near)[0])) for c in chosen]
+    accuracies = {
+        name: separation(np.concatenate([image[name].ravel() for image in images]), flagged)
+        for name in images[0]
+    }
+    best = max(accuracies, key=accuracies.__getitem__)
+    return best if accuracies[best] >= MIN_ACCURACY else None
+
+
+def separation(values: np.ndarray, flagged: np.ndarray) -> float:
+    """Largest balanced accuracy of a threshold, up or down, on values (P,) for flags (P,) bool."""
+    inside, outside = np.sort(values[flagged]), np.sort(values[~flagged])
+    levels = np.unique(np.quantile(inside, np.linspace(0, 1, QUANTILES)))
+    below = [np.searchsorted(part, levels) / len(part) for part in (inside, outside)]
+    return float(0.5 + 0.5 * np.abs(below[1] - below[0]).max())
+
+
+def agreement(evidence: EvidenceOfViews) -> float | None:
+    """How well masks agree through the scene: the correlation of each view with all others.
+
+    The share of the weight of a Gaussian that a view flags is compared with the share that all
+    other views flag, weighted by its weight in the view. The median of the absolute correlations of
+    up to four times `CHECKED` views, since inverted masks agree, too; None if hardly a view varies.
+    """
+    count = evidence.shape[0]
+    total, tampered = np.zeros((2, evidence.shape[1]))
+    for view in evidence.views():
+        total += np.asarray(view.total)
+        tampered += np.asarray(view.tampered)
+    found = []
+    for index in range(0, count, max(1, count // (4 * CHECKED))):
+        view = evidence.view(index)
+        weight, own = np.asarray(view.total, float), np.asarray(view.tampered, float)
+        rest = total - weight
+        both = (weight > 0) & (rest > 0)
+        if not both.any():
+            continue
+        here, there = own[both] / weight[both], (tampered - own)[both] / rest[both]
+        covariance = np.cov(here, there, aweights=weight[both])
+        if min(np.diag(covariance)) > 1e-6:
+            found.append(abs(covariance[0, 1]) / np.sqrt(covariance[0, 0] * covariance[1, 1]))
+    return float(np.median(found)) if len(found) > 2 else None

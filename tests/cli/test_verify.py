@@ -1,0 +1,40 @@
+"""`verify` recomputes the digests of results and of their inputs."""
+
+import json
+
+import pytest
+from cli_case import refused, run
+
+from gsc_jax.benchmark.scenes import make_room
+from gsc_jax.io.ply import save_ply
+
+
+@pytest.fixture
+def found(tmp_path):
+    save_ply(tmp_path / "scene.ply", make_room(count=1_500))
+    out = tmp_path / "found"
+    assert run("locate", tmp_path / "scene.ply", "--out", out, "--views", 3).code == 0
+    return out
+
+
+def test_files_that_changed_or_are_missing_are_named(found):
+    answer = run("verify", found)
+    assert answer.code == 0
+    report = json.loads((found / "result.json").read_text())
+    assert f"{len(report['outputs']) - 1} files are as they were written" in answer.out
+    assert "1 of 1 are as they were read" in answer.out
+    labels = (found / "labels.npy").read_bytes()
+    (found / "labels.npy").write_bytes(labels[:-1] + b"x")
+    assert "labels.npy: has changed" in refused("verify", found)
+    (found / "labels.npy").unlink()
+    assert "labels.npy: is missing" in refused("verify", found)
+    (found / "labels.npy").write_bytes(labels)
+    scene = found.parent / "scene.ply"
+    scene.write_bytes(scene.read_bytes()[:-1] + b"x")
+    assert "scene.ply: has changed" in refused("verify", found)
+    scene.unlink()
+    assert "is not there and was not compared" in run("verify", found).err
+
+
+def test_a_folder_without_results_is_refused(tmp_path):
+    assert "holds no results" in refused("verify", tmp_path)

@@ -1,0 +1,65 @@
+"""Masks that are no evidence: of a nonsense detector, of chance; and masks that are."""
+
+import functools
+
+import numpy as np
+import pytest
+
+from gsc_jax import locate, observe
+from gsc_jax.benchmark.metrics import truth_mask
+from gsc_jax.benchmark.scenes import tampered_room
+from gsc_jax.evidence.mask_checks import MIN_CORRELATION, agreement, doubts, separation
+
+MADE = tampered_room(count=4_000, views=10, heldout=0, width=96, height=72)
+ROOM, CAMERAS = MADE.gaussians, MADE.cameras
+NONSENSE = {
+    "red": lambda image: image[..., 0] > 0.6,
+    "brightness": lambda image: image.mean(axis=-1) < 0.4,
+}
+
+
+@functools.cache
+def truth() -> dict[str, np.ndarray]:
+    return {camera.name: truth_mask(ROOM, camera, MADE.labels) for camera in CAMERAS}
+
+
+@pytest.mark.parametrize("name", NONSENSE)
+def test_a_threshold_on_the_image_is_no_evidence(name):
+    result = locate(ROOM, CAMERAS, NONSENSE[name])
+    assert f"The masks follow the {name} of the images" in result.warnings[0]
+    assert result.prior is not None
+    assert result.verdict is not None
+    assert result.verdict <= result.prior.verdict
+    assert result.outcome != "evidence"
+
+
+def test_true_masks_are_evidence():
+    assert doubts(observe(ROOM, CAMERAS, truth())) == []
+    assert locate(ROOM, CAMERAS, truth(), prior=False).outcome == "evidence"
+
+
+def test_masks_at_random_places_agree_by_chance_only():
+    rng, masks = np.random.default_rng(0), {}
+    for camera in CAMERAS:
+        y, x = rng.integers(0, 60), rng.integers(0, 80)
+        masks[camera.name] = np.zeros((72, 96), bool)
+        masks[camera.name][y : y + 8, x : x + 8] = True
+    observed = observe(ROOM, CAMERAS, masks)
+    agreed = agreement(observed.evidence)
+    assert agreed is not None
+    assert (agreed < MIN_CORRELATION) == any("chance" in text for text in doubts(observed))
+    assert agreed < 0.3 < (agreement(observe(ROOM, CAMERAS, truth()).evidence) or 0)
+
+
+def test_empty_masks_say_nothing_about_themselves():
+    empty = {camera.name: np.zeros((72, 96), bool) for camera in CAMERAS}
+    assert agreement(observe(ROOM, CAMERAS, empty).evidence) is None
+    assert doubts(observe(ROOM, CAMERAS, empty)) == []
+
+
+def test_separation_is_the_best_balanced_accuracy_in_either_direction():
+    flagged = np.arange(100) < 30
+    assert separation(np.arange(100.0), flagged) == pytest.approx(1, abs=0.05)
+    assert separation(-np.arange(100.0), flagged) == pytest.approx(1, abs=0.05)
+    mixed = np.random.default_rng(0).random(100)
+    assert separation(mixed, flagged) < 0.75

@@ -32,6 +32,7 @@ from gsc_jax.estimators import METHODS, Prior
 from gsc_jax.forensics.classifier import Classifier, default_classifier, from_arrays
 from gsc_jax.forensics.evidence import (
     ForensicEvidence,
+    combine,
     estimate_from_attributes,
     forensic_evidence,
 )
@@ -91,7 +92,7 @@ def rows_of(case: Case, mixture: Failures, keep: Path) -> Iterator[Row]:
 def rows_without_masks(case: Case, evidence: ForensicEvidence) -> Iterator[Row]:
     """Measure the attributes without masks."""
     pasted = donor_name(case.scene.name, case.seed) if case.edit == "incorporation" else ""
-    both = {WITHOUT_TRACES: evidence.without_traces, WITH_TRACES: evidence}
+    both = {WITHOUT_TRACES: combine(evidence.classification, ()), WITH_TRACES: evidence}
     findings = {name: estimate_from_attributes(one) for name, one in both.items()}
     predictions = [Prediction(score=f.attribute, labels=f.labels) for f in findings.values()]
     masks = heldout_masks(case.gaussians, case.scene.heldout, predictions)

@@ -21,7 +21,7 @@ from tables import markdown, write_section
 from gsc_jax import view_mask
 from gsc_jax.benchmark.metrics import auc, confusion, mean_over_tampered_views
 from gsc_jax.estimators import METHODS, Finding
-from gsc_jax.forensics.evidence import estimate_from_attributes, forensic_evidence
+from gsc_jax.forensics.evidence import combine, estimate_from_attributes, forensic_evidence
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -39,7 +39,8 @@ def findings(scene: Scene, keep: Path) -> Iterator[tuple[str, Finding]]:
     evidence = {name: forensic_evidence(own, classifier=classifier) for name, own in saved.items()}
     for name, own in evidence.items():
         names = ", ".join(trace.name for trace in own.traces if trace.found) or "no trace"
-        yield f"Gaussians, no traces, {name}", estimate_from_attributes(own.without_traces)
+        alone = combine(own.classification, ())
+        yield f"Gaussians, no traces, {name}", estimate_from_attributes(alone)
         yield f"Gaussians, {name} ({names})", estimate_from_attributes(own)
     yield "masks", METHODS["robust"].estimate(scene.observation)
     for name, own in evidence.items():

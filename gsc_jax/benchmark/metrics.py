@@ -81,11 +81,6 @@ def confusion(prediction: Array, truth: Array, *, weights: Array | None = None) 
     return Confusion(*(float(counts[outcome].sum()) for outcome in outcomes))
 
 
-def f1_score(prediction: Array, truth: Array, *, weights: Array | None = None) -> float:
-    """F1 of a mask, or of labels per Gaussian; see `confusion` for the arguments."""
-    return confusion(prediction, truth, weights=weights).f1
-
-
 def mean_over_tampered_views(predictions: Sequence[Array], truths: Sequence[Array]) -> Scores:
     """F1, IoU, precision and recall of masks (H, W), one per view, averaged over tampered views."""
     if len(predictions) != len(truths):

@@ -11,11 +11,7 @@ from gsc_jax.scene import InputError
 
 
 def run_verify(options: Verify) -> tuple[list[str], list[str]]:
-    """Compare all digests; lines to print, and warnings about inputs that are not there.
-
-    Raises:
-        InputError: if there is no report, or a file has changed or is missing.
-    """
+    """Compare all digests: lines to print, and warnings; a changed file raises InputError."""
     out = options.folder
     report = next((name for name in REPORTS if listed_outputs(out, name)), None)
     if report is None:

@@ -28,8 +28,8 @@ class ScanSettings:
             writes nothing.
         workers: Scenes that are judged at the same time, each in a process of its own.
         cpus: Cores of a worker.
-        memory: Memory of a worker in GiB: a file that expands to more is refused, and Ray starts
-            no more workers than fit. None is an equal share of half of the machine.
+        memory: Memory of a worker in GiB; None is an equal share of half of the machine. A file
+            that expands to more is refused, and Ray starts no more workers than fit.
         timeout: Seconds after which the process of a scene is killed.
         retries: How often a scene is tried again after a timeout, a killed process or a lost node.
         report_above: Scene probability from which the folder of `locate` is written, too; None for

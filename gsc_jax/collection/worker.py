@@ -1,8 +1,7 @@
 """The actor of a worker: it reads and identifies scenes, and a process of its own judges them.
 
-The process keeps compiled code and the network. It is the one that is killed, by the timeout or by
-the kernel for memory, and the actor starts another. While it judges a scene, another thread of the
-actor reads and identifies the next one, so that its content is in the page cache by then.
+The process keeps compiled code and the network. It may be killed, by the timeout or by the kernel
+for memory. While it judges a scene, the actor reads the next one into the page cache.
 """
 
 import hashlib

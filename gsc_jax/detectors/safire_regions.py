@@ -8,8 +8,7 @@ of the complement of the other. If all masks are of one group, the most confiden
 Differences, where the test code is unspecified or returns NaN:
 
 - Masks without a cell and predictions that are not finite are ignored and counted.
-- k-means takes the best of several seeded starts. There is one group if a second one does not
-  reduce the distance.
+- k-means takes the best of several seeded starts; one that gains nothing makes one group.
 """
 
 import numpy as np

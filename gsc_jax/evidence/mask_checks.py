@@ -63,13 +63,7 @@ def followed_property(
     """Name of a property of the image, a threshold on which separates what the masks flag.
 
     One threshold has to serve all of up to `CHECKED` views that are partly flagged, with a balanced
-    accuracy of `MIN_ACCURACY`.
-
-    Args:
-        gaussians: N Gaussians.
-        cameras: Views with a mask.
-        masks: Boolean masks (H, W) by camera name.
-        near: Near plane in world units.
+    accuracy of `MIN_ACCURACY`. The masks, (H, W) bool, are those of the cameras by name.
     """
     partly = [c for c in cameras if 0.001 < np.mean(masks[c.name]) < 0.999]
     chosen = partly[:: max(1, -(-len(partly) // CHECKED))]

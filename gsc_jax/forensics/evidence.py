@@ -50,11 +50,6 @@ class ForensicEvidence(Prior):
     traces: tuple[Trace, ...]
     classification: Classification
 
-    @property
-    def without_traces(self) -> "ForensicEvidence":
-        """The evidence of the classifier alone."""
-        return combine(self.classification, ())
-
 
 def forensic_evidence(
     gaussians: Gaussians, *, classifier: Classifier | None = None, with_traces: bool = True

@@ -21,7 +21,7 @@ def test_worked_by_hand():
     assert counts == (2, 1, 2, 1)
     assert counts.precision == pytest.approx(2 / 3, abs=1e-7)
     assert counts.recall == pytest.approx(1 / 2, abs=1e-7)
-    assert metrics.f1_score(PREDICTION, TRUTH) == pytest.approx(4 / 7, abs=1e-7)
+    assert metrics.confusion(PREDICTION, TRUTH).f1 == pytest.approx(4 / 7, abs=1e-7)
     assert counts.iou == pytest.approx(2 / 5, abs=1e-7)
 
 
@@ -30,7 +30,7 @@ def test_weights_count_instead_of_entries():
     opacities = np.array([0.9, 0.1, 0.3, 0.5], np.float32)
     counts = metrics.confusion(prediction, truth, weights=opacities)
     np.testing.assert_allclose(counts, [0.9, 0.1, 0.3, 0.5], rtol=1e-6)
-    assert metrics.f1_score(prediction, truth, weights=opacities) == pytest.approx(1.8 / 2.2)
+    assert metrics.confusion(prediction, truth, weights=opacities).f1 == pytest.approx(1.8 / 2.2)
 
 
 def test_threshold_is_strict():
@@ -40,15 +40,15 @@ def test_threshold_is_strict():
 @given(MASKS, MASKS)
 @settings(max_examples=60, deadline=None)
 def test_laws_of_f1_and_iou(prediction, truth):
-    f1, iou = metrics.f1_score(prediction, truth), metrics.confusion(prediction, truth).iou
+    f1, iou = metrics.confusion(prediction, truth).f1, metrics.confusion(prediction, truth).iou
     assert 0 <= iou <= f1 + 1e-7
     assert f1 <= 1
     assert f1 == pytest.approx(2 * iou / (1 + iou), abs=1e-6)
-    assert f1 == pytest.approx(metrics.f1_score(truth, prediction), abs=1e-7)
+    assert f1 == pytest.approx(metrics.confusion(truth, prediction).f1, abs=1e-7)
     counts = metrics.confusion(prediction, truth)
     assert sum(counts) == truth.size
     assert metrics.confusion(~prediction, ~truth) == counts[::-1]
-    assert metrics.f1_score(truth, truth) == pytest.approx(float(truth.any()), abs=1e-6)
+    assert metrics.confusion(truth, truth).f1 == pytest.approx(float(truth.any()), abs=1e-6)
 
 
 def test_authentic_views_do_not_enter_the_mean():

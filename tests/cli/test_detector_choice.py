@@ -15,7 +15,7 @@ from cli_case import (
     unparsable,
 )
 
-from gsc_jax.benchmark.metrics import f1_score
+from gsc_jax.benchmark.metrics import confusion
 
 case, found, own_cache = FIXTURES
 pytestmark = pytest.mark.usefixtures("own_cache")
@@ -26,7 +26,7 @@ def test_a_network_runs_on_the_renders(case, tmp_path):
     assert run(*argv, "--out", tmp_path / "out").code == 0
     truth = np.load(case / "truth.npy")
     truth[list(BROKEN)] = False
-    assert f1_score(np.load(tmp_path / "out" / "labels.npy"), truth) > 0.8
+    assert confusion(np.load(tmp_path / "out" / "labels.npy"), truth).f1 > 0.8
     assert "render" in report(tmp_path / "out")["stages"]
 
 
@@ -51,11 +51,13 @@ def test_the_spec_beside_a_model_is_used_and_reported(case, tmp_path):
     assert run(*argv, "--out", tmp_path / "out").code == 0
     assert report(tmp_path / "out")["command"]["spec"] == str(beside)
     truth = np.load(case / "truth.npy")
-    assert f1_score(np.load(tmp_path / "out" / "labels.npy"), truth) < 0.5, "colours not swapped"
+    assert confusion(np.load(tmp_path / "out" / "labels.npy"), truth).f1 < 0.5, (
+        "colours not swapped"
+    )
     other.write_text("")
     assert run(*argv, "--spec", other, "--out", tmp_path / "out").code == 0
     assert report(tmp_path / "out")["command"]["spec"] == str(other)
-    assert f1_score(np.load(tmp_path / "out" / "labels.npy"), truth) > 0.8
+    assert confusion(np.load(tmp_path / "out" / "labels.npy"), truth).f1 > 0.8
     # A preset overrides the file beside the model.
     beside.write_text("size = 0\n")
     assert run(*argv, "--preset", "pscc-net", "--out", tmp_path / "out").code == 0

@@ -11,7 +11,7 @@ import pytest
 from cli_case import BROKEN, COUNT, FIXTURES, NAMES, contents, given, refused, report, run
 from plyfile import PlyData
 
-from gsc_jax.benchmark.metrics import f1_score
+from gsc_jax.benchmark.metrics import confusion
 from gsc_jax.cli.pictures import jpeg_path
 from gsc_jax.cli.staging import BY_CAMERA, EVALUATION_MARK, FILES
 from gsc_jax.io.masks import image_path, read_probability, write_mask
@@ -53,10 +53,10 @@ def test_the_object_is_found(case, found):
     out, _ = found
     truth = np.load(case / "truth.npy")
     truth[list(BROKEN)] = False
-    assert f1_score(np.load(out / "labels.npy"), truth) > 0.8
+    assert confusion(np.load(out / "labels.npy"), truth).f1 > 0.8
     for name in NAMES:
         mask = read_probability(image_path(out / "masks", name))
-        assert f1_score(mask, read_probability(image_path(case / "masks", name))) > 0.8
+        assert confusion(mask, read_probability(image_path(case / "masks", name))).f1 > 0.8
 
 
 def test_tamper_ply_is_the_scene_plus_one_property(case, found):

@@ -81,8 +81,8 @@ def test_trace_suffices_alone_and_raises_the_level_of_the_others():
     np.testing.assert_array_equal(evidence.probability, finding.tamper)
     assert evidence.verdict > 0.999
     assert not evidence.exact, "either copy may be the edit"
-    assert evidence.without_traces.verdict == pytest.approx(0.3)
-    assert not evidence.without_traces.traces
+    assert combine(evidence.classification, ()).verdict == pytest.approx(0.3)
+    assert not combine(evidence.classification, ()).traces
 
 
 @pytest.mark.parametrize("score", [0.0, 0.5, 0.9])
@@ -90,7 +90,7 @@ def test_scene_is_edited_if_classifier_or_strongest_trace_is_right(score):
     traces = [trace(score, 0.0), trace(0.0, score / 2)]
     combined = combine(classified([BASE, BASE], 0.3), traces)
     assert combined.verdict == pytest.approx(1 - 0.7 * (1 - score))
-    assert combined.without_traces.verdict == pytest.approx(0.3)
+    assert combine(combined.classification, ()).verdict == pytest.approx(0.3)
 
 
 def trace(*score: float, name: str = "quantisation") -> Trace:

@@ -18,6 +18,7 @@ SCRIPTS = (
     "editing",
     "enough",
     "fusion",
+    "mask_checks",
     "native",
     "parsimony",
     "published",
@@ -27,7 +28,7 @@ SCRIPTS = (
     "stability",
     "unseen",
 )
-WITHOUT_CHART = ("departures", "fusion", "published", "published_fit", "unseen")
+WITHOUT_CHART = ("departures", "fusion", "mask_checks", "published", "published_fit", "unseen")
 
 
 @pytest.mark.slow

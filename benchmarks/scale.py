@@ -22,13 +22,14 @@ from simpy.events import ProcessGenerator
 sys.path.append(str(Path(__file__).resolve().parents[1] / "experiments"))
 from tables import markdown, write_section
 
-SCENES = 20_000
-"""Scenes of a simulation; times of a million are those of as many, scaled."""
+SCENES, PER_WORKER = 20_000, 200
+"""Least number of scenes of a simulation, and for each worker, so that the end of a scan, where
+workers wait for the slowest scenes, is short; times of a million are scaled."""
 MILLION = 1_000_000
 WORKERS = (1, 10, 100, 1000)
 BYTES_PER_GAUSSIAN = 248
 """A row of an INRIA .ply of degree 3."""
-STORAGE = 1e9
+STORAGE = 5e9
 """Bytes per second of the shared storage, for all workers together."""
 STREAM = 2e8
 """Bytes per second of one worker's connection to it."""
@@ -89,20 +90,24 @@ def simulated(
         busy[0] += duration
         yield environment.timeout(duration)
 
-    def worker() -> ProcessGenerator:
-        ahead = 0.0  # the next scene is read while one is judged
-        for job in jobs:
-            reading = gaussians[job] * BYTES_PER_GAUSSIAN / STREAM
+    def reader(read: simpy.Store) -> ProcessGenerator:
+        for job in jobs:  # the next scene is read while one is judged
             with lanes.request() as lane:
                 yield lane
-                yield environment.timeout(max(reading - ahead, 0.0))
+                yield environment.timeout(gaussians[job] * BYTES_PER_GAUSSIAN / STREAM)
+            yield read.put(job)
+        yield read.put(None)
+
+    def worker() -> ProcessGenerator:
+        read = simpy.Store(environment, capacity=1)
+        environment.process(reader(read))
+        while (job := (yield read.get())) is not None:
             for attempt in killed[job]:
                 if not attempt:
                     break
-                yield from compute(seconds[job] / 2)
+                yield from compute(float(seconds[job]) / 2)
                 yield environment.timeout(RESTART)
-            yield from compute(seconds[job])
-            ahead = seconds[job]
+            yield from compute(float(seconds[job]))
 
     for _ in range(workers):
         environment.process(worker())
@@ -140,12 +145,14 @@ def million(costs: Costs, start: float) -> str:
     """Table: what a million scenes take, by distribution and number of workers."""
     lines = []
     for name, sizes in SIZES.items():
-        gaussians = sizes(np.random.default_rng(0), SCENES)
-        mean = float(costs.draw(gaussians, np.random.default_rng(1)).mean())
+        count = max(SCENES, PER_WORKER * max(WORKERS))
+        everything = sizes(np.random.default_rng(0), count)
+        mean = float(costs.draw(everything, np.random.default_rng(1)).mean())
         core_hours = mean * MILLION / 3600
         for workers in WORKERS:
+            gaussians = everything[: max(SCENES, PER_WORKER * workers)]
             seconds, busy = simulated(costs, gaussians, workers, start=start)
-            hours = (seconds - start) * MILLION / SCENES / 3600
+            hours = (seconds - start) * MILLION / len(gaussians) / 3600
             lines.append(
                 [
                     name,
@@ -154,7 +161,7 @@ def million(costs: Costs, start: float) -> str:
                     f"{busy:.2f}",
                     f"{core_hours:,.0f}",
                     f"{core_hours * PRICE:,.0f} $",
-                    f"{gaussians.mean() * BYTES_PER_GAUSSIAN * MILLION / 1e12:.1f} TB",
+                    f"{everything.mean() * BYTES_PER_GAUSSIAN * MILLION / 1e12:.1f} TB",
                     f"{(ROW_BYTES + REPORTED * REPORT_BYTES) * MILLION / 1e12:.2f} TB",
                 ]
             )

@@ -28,13 +28,13 @@ from gsc_jax.cli.config_file import read_config_file
 from gsc_jax.cli.demo import run_demo
 from gsc_jax.cli.evaluate import run_evaluate
 from gsc_jax.cli.locate import dry_run, run_locate
-from gsc_jax.cli.options import Demo, Evaluate, Locate, Render, Tamper, Verify, View
+from gsc_jax.cli.options import Demo, Evaluate, Locate, Render, Tamper, View
 from gsc_jax.cli.progress import Bars
 from gsc_jax.cli.render import run_render
 from gsc_jax.cli.report.wording import summary
 from gsc_jax.cli.scan import Scan, run_scan
 from gsc_jax.cli.tamper import run_tamper
-from gsc_jax.cli.verify import run_verify
+from gsc_jax.cli.verify import Verify, run_verify
 from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.io.validation import printable
 from gsc_jax.scene import InputError

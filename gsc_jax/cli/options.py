@@ -202,22 +202,6 @@ class Evaluate:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Verify:
-    """Compare files of results, and the inputs they came from, with their SHA-256 in the report.
-
-    for example:
-      gsc-jax verify found
-
-    The report itself has no seal: whoever passes results on states its SHA-256, which is printed.
-
-    Attributes:
-        folder: Folder with results of `locate`, `render` or `tamper`.
-    """
-
-    folder: Annotated[tyro.conf.Positional[Path], arg("DIR")]
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
 class Locate(SceneOptions):
     r"""Find the tampered Gaussians of a scene.
 
@@ -301,5 +285,6 @@ class Locate(SceneOptions):
     epochs: Annotated[int | None, arg("N", "official 1, paper 5")] = None
     threshold: Annotated[float | None, arg("SCORE", "robust 0.5, GS-Checker 0.1")] = None
     mask_rule: Annotated[
-        MaskRule | None, arg("share|attribute|per-view", "robust share, GS-Checker attribute")
+        MaskRule | None,
+        arg("share|attribute|per-view", "robust share, official per-view, paper attribute"),
     ] = None

@@ -34,8 +34,7 @@ class Scan(Locate):
       gsc-jax scan models/ --out scanned
       gsc-jax scan manifest.csv --out scanned --report-above 0.65
 
-    Needs the extra `cluster`. The options of `locate` hold for every
-    scene. The same command continues a scan that was killed.
+    Needs the extra `cluster`. The same command continues a killed scan.
 
     written to the folder of --out:
       collection.html          start here
@@ -43,8 +42,8 @@ class Scan(Locate):
       reports/                 folders of locate, by --report-above
 
     Attributes:
-        scene: A folder, a quoted glob, a text file with a path or address per line, or a .csv or
-            .parquet with a column path, and optionally id, cameras, masks and others.
+        scene: A folder, a quoted glob, a text file with a path or address per line, or a table
+            (.csv or .parquet) with a column path, and optionally id, cameras, masks and others.
         out: Folder for the results, created if missing; all machines of a cluster share it.
         address: Address of a running Ray cluster. By default one is started on this machine.
         workers: Scenes that are judged at the same time.

@@ -1,13 +1,32 @@
 """`gsc-jax verify`: are results, and the inputs they came from, as they were?"""
 
+import dataclasses
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from gsc_jax.cli.options import Verify
+import tyro
+
+from gsc_jax.cli.options import arg
 from gsc_jax.cli.ownership import REPORTS, is_inside, listed_outputs
 from gsc_jax.io.files import content_digest
 from gsc_jax.io.tables import read_table
 from gsc_jax.scene import InputError
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Verify:
+    """Compare results, and their inputs, with the SHA-256 in their report.
+
+    for example:
+      gsc-jax verify found
+
+    The report has no seal: pass on its SHA-256, which is printed.
+
+    Attributes:
+        folder: Folder with results of `locate`, `render` or `tamper`.
+    """
+
+    folder: Annotated[tyro.conf.Positional[Path], arg("DIR")]
 
 
 def run_verify(options: Verify) -> tuple[list[str], list[str]]:

@@ -38,4 +38,4 @@ if __name__ == "__main__":
     out = Path(sys.argv[1])
     make_collection(out / "collection")
     scanned = str(out / "scanned")
-    sys.exit(main(["scan", str(out / "collection"), "--out", scanned, "--report-above", "0.65"]))
+    sys.exit(main(["scan", str(out / "collection"), "--out", scanned, "--report-above", "0.35"]))

@@ -38,3 +38,13 @@ def test_files_that_changed_or_are_missing_are_named(found):
 
 def test_a_folder_without_results_is_refused(tmp_path):
     assert "holds no results" in refused("verify", tmp_path)
+
+
+def test_a_report_from_elsewhere_reads_no_device_and_raises_nothing(found):
+    path = found / "result.json"
+    report = json.loads(path.read_text())
+    for inputs in ([1], {"/dev/zero": {"sha256": "0"}}, {"/dev/null\0": {}}):
+        path.write_text(json.dumps(report | {"inputs": inputs}))
+        assert run("verify", found).code == 0
+    path.write_text(json.dumps(report | {"inputs": {str(found / "labels.npy"): 3}}))
+    assert "has changed" in refused("verify", found)

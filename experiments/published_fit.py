@@ -77,7 +77,7 @@ class FitArgs(Args):
 
 
 def first_draws(count: int, seed: int = 0) -> list[Failures]:
-    """Draw failures from `RANGES`; a third of the strengths is 0: most detectors lack some."""
+    """Draw failures from `RANGES`. A third of the strengths is 0, as most detectors lack some."""
     rng = np.random.default_rng(seed)
     low, high = np.array(list(RANGES.values())).T
     values = rng.uniform(low, high, (count, len(RANGES)))

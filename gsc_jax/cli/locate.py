@@ -8,7 +8,6 @@ import hashlib
 import tempfile
 import uuid
 from importlib.metadata import distributions
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -45,7 +44,7 @@ EXPANDED = 16
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Inputs:
-    """The validated input of a run, and its files; `attributes`: whether they are evidence."""
+    """Validated input of a run, sizes and digests of its files, and whether `attributes` count."""
 
     options: Locate
     estimator: Estimator
@@ -54,7 +53,7 @@ class Inputs:
     scene: PlyScene
     cameras: list[Camera]
     warnings: list[str]
-    files: list[Path]
+    files: dict[str, dict[str, Any]]
 
 
 def read_inputs(options: Locate, *, monitor: Monitor) -> Inputs:
@@ -78,6 +77,8 @@ def read_inputs(options: Locate, *, monitor: Monitor) -> Inputs:
     files = [path for path in files if path is not None]
     refuse_overlap(options.out, files, written=(*FILES, *BY_CAMERA))
     scene, cameras = read_scene(options, warnings, monitor)
+    # At once: a file that changes during the run does not match its digest.
+    digests = {str(p): {"bytes": content_bytes(p), "sha256": content_digest(p)} for p in files}
     # Once, since NumPy reads the arrays of JAX without copying, but not the other way round.
     scene = dataclasses.replace(scene, gaussians=jax.device_put(scene.gaussians))
     if options.views:
@@ -95,7 +96,7 @@ def read_inputs(options: Locate, *, monitor: Monitor) -> Inputs:
         scene=scene,
         cameras=cameras,
         warnings=warnings,
-        files=files,
+        files=digests,
     )
 
 
@@ -133,10 +134,7 @@ def locate_and_write(inputs: Inputs, *, prior: Prior | bool, monitor: Monitor) -
             seconds=monitor.elapsed(),
             warnings=[*inputs.warnings, *result.warnings],
             visible_share=float(np.mean([mask.mean() for mask in result.masks.values()])),
-            inputs={
-                str(path): {"bytes": content_bytes(path), "sha256": content_digest(path)}
-                for path in inputs.files
-            },
+            inputs=inputs.files,
         )
         write_report(folder, dataclasses.asdict(options), located, monitor=monitor)
     return dataclasses.replace(located, seconds=monitor.elapsed())

@@ -115,7 +115,7 @@ def _settings(options: Scan, *, workers: int) -> Any:
 
 @contextlib.contextmanager
 def _connected(ray: Any, options: Scan) -> Iterator[None]:
-    """Connect to a cluster, or start one; nothing of one that this program did not start ends."""
+    """Connect to a running cluster, which goes on afterwards, or start one and end it."""
     if ray.is_initialized():
         yield
         return

@@ -46,7 +46,7 @@ def open_session(
     names = provider_names(providers)
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads
-    options.enable_mem_pattern = False  # SAFIRE then takes 4.0 GB instead of 7.2, as fast
+    options.enable_mem_pattern = False  # it would keep the memory of each shape of SAFIRE
     options.log_severity_level = 4  # the raised errors contain the messages
     # Otherwise onnxruntime reads a file with the suffix .ort as another format.
     options.add_session_config_entry("session.load_model_format", "ONNX")

@@ -1,7 +1,7 @@
 """Are masks evidence at all? Masks that a property of the image explains, or that no region does.
 
 A detector that thresholds the brightness is consistent over the views like a good one, since what
-it flags is a region of the scene. Masks of another scene, or in the wrong order, are not.
+it flags is a region of the scene. False blobs at random places are not.
 """
 
 from collections.abc import Mapping, Sequence

@@ -168,7 +168,7 @@ def test_a_scene_beyond_the_timeout_is_a_row_and_is_tried_again_later(tmp_path):
 
 
 def processes() -> set[int]:
-    """The processes of workers, in which scenes are judged."""
+    """Ids of the processes in which workers judge scenes."""
     found = set()
     for place in Path("/proc").glob("[0-9]*/cmdline"):
         with contextlib.suppress(OSError):

@@ -20,7 +20,7 @@ from scipy.special import expit
 FULL_VIEW = 0.2
 """A view has full weight for a class if it sees at least this share of what the best view sees."""
 CLEAR_VIEW = 0.5
-"""The same for second edits: where an edit is hardly visible, what covers it decides its rate."""
+"""The same share when a class may be a second edit: views that hardly show it say little of it."""
 LEAST_VIEW = 0.2
 """Visibility in [0, 1] above which the rate of a class in a view is used as its pattern."""
 RATE_DIFFERENCE = 0.6

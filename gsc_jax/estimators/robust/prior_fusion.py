@@ -17,8 +17,8 @@ from gsc_jax.scene import Array
 PROBABILITY_FLOOR = 1e-9
 """Clip probabilities to this distance from 0 and 1, which bounds log odds by 21."""
 MIN_MASK_VERDICT = 0.15
-"""Verdict of the masks below which a prior can replace them: a region that 40 % of many views flag.
-Masks that missed 42 edits in 40 % of the views had 0.19 or more."""
+"""Scene probability of the masks below which a prior may replace them: less than 40 % of many views
+flag the region. Masks that missed 42 edits in 40 % of the views had 0.19 or more."""
 
 
 def fuse(

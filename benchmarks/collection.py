@@ -1,12 +1,13 @@
 """A scan of a collection against a loop over `gsc-jax locate`, and with 1, 2 and 4 workers.
 
-    python benchmarks/collection.py [--scenes 16] [--workers 1 2 4] [--no-loop]
+    python benchmarks/collection.py [--scenes 16] [--workers 1 2 4] [--no-loop] [--part collection]
 
 Made rooms of 20,000 to 250,000 Gaussians, log-uniform. The loop starts a program for each scene, as
 a shell does, with a warm compilation cache. A scan is measured twice: rows alone, and with the
 folder of `locate` for every scene, which is the same work as the loop. All times are wall times of
-whole programs, the start of Ray included; `work` adds up the seconds of the scenes. Written to the
-part `collection` of `docs/performance.json`.
+whole programs, the start of Ray included; `work` adds up the seconds of the scenes, and `growth` is
+the slope of the peak of a scene over the scenes judged before it, its size accounted for. Written
+to a part of `docs/performance.json` after each measurement.
 """
 
 import dataclasses
@@ -35,13 +36,15 @@ class Options:
         scenes: Number of scenes.
         workers: Numbers of workers, each with one core.
         loop: Whether to measure the loop over `gsc-jax locate`.
-        reports: Whether to measure scans with the folder of `locate` for every scene.
+        reports: Numbers of workers for scans with the folder of `locate` for every scene.
+        part: Part of `docs/performance.json` to write.
     """
 
     scenes: int = 16
     workers: tuple[int, ...] = (1, 2, 4)
     loop: bool = True
-    reports: bool = True
+    reports: tuple[int, ...] = (1, 2)
+    part: str = "collection"
 
 
 def main(options: Options) -> None:
@@ -51,15 +54,16 @@ def main(options: Options) -> None:
         folder = Path(name)
         values["gaussians"] = make(folder / "in", options.scenes)
         program("locate", folder / "in" / "000.ply", folder / "warm")  # fills the cache
-        if options.loop:
-            values["loop"] = report("loop", loop(folder, options.scenes))
         for workers in options.workers:
             values[f"scan{workers}"] = scan(folder, f"scan{workers}", workers)
-        if options.reports:
-            for workers in options.workers[:2]:
-                name = f"reports{workers}"
-                values[name] = scan(folder, name, workers, "--report-above", "0")
-    common.save("collection", values)
+            common.save(options.part, values)
+        for workers in options.reports:
+            name = f"reports{workers}"
+            values[name] = scan(folder, name, workers, "--report-above", "0")
+            common.save(options.part, values)
+        if options.loop:
+            values["loop"] = report("loop", loop(folder, options.scenes))
+            common.save(options.part, values)
 
 
 def make(folder: Path, scenes: int) -> list[int]:
@@ -93,7 +97,10 @@ def scan(folder: Path, name: str, workers: int, *more: str) -> dict[str, object]
     rows = rows_of(out)
     each = np.array([row["seconds"] for row in rows])
     peaks = [max(stage["peak_mib"] for stage in row["stages"]) for row in rows]
-    per_gaussian = np.polyfit([row["gaussians"] for row in rows], each, 1)
+    sizes = np.array([row["gaussians"] for row in rows])
+    per_gaussian = np.polyfit(sizes, each, 1)
+    order = np.argsort(np.argsort([row["id"] for row in rows])) / workers  # as they are judged
+    growth = np.linalg.lstsq(np.stack([order, sizes, sizes**0], 1), peaks, rcond=None)[0]
     return report(
         name,
         {
@@ -103,6 +110,7 @@ def scan(folder: Path, name: str, workers: int, *more: str) -> dict[str, object]
             "per_100k": float(per_gaussian[0] * 1e5),
             "fixed": float(per_gaussian[1]),
             "peak_mib": max(peaks),
+            "growth_mib_per_100": float(growth[0] * 100),
             "each": [[row["gaussians"], row["seconds"]] for row in rows],
             "stages": stages(rows),
         },

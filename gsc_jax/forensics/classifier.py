@@ -83,7 +83,7 @@ def raw_log_odds(
     for start in range(0, len(values), BLOCK):
         block = values[start : start + BLOCK, columns]
         padded = np.pad(block, ((0, BLOCK - len(block)), (0, 0)))
-        raw[start : start + BLOCK] = _ensemble(networks, padded)[: len(block)]
+        raw[start : start + BLOCK] = np.asarray(_ensemble(networks, padded))[: len(block)]
     return raw
 
 

@@ -7,6 +7,7 @@ quaternions of any length; the equations use the properties `scales`, `opacities
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from gsc_jax.scene.pytree import pytree
 
@@ -125,10 +126,7 @@ def usable_rows(gaussians: Gaussians) -> np.ndarray:
 
 def rotation_matrices(gaussians: Gaussians) -> np.ndarray:
     """Rotation matrices, whose columns are the axes of the Gaussians, shape (N, 3, 3) float32."""
-    w, x, y, z = np.asarray(gaussians.rotations).T
-    rows = (
-        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-    )
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=1)
+    quats = np.asarray(gaussians.quats)
+    usable = (np.isfinite(quats) & quats.any(axis=1, keepdims=True)).all(axis=1, keepdims=True)
+    quats = np.where(usable, quats, IDENTITY_QUATERNION)
+    return Rotation.from_quat(quats, scalar_first=True).as_matrix().astype(np.float32)

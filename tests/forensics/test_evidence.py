@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import jax
 import numpy as np
 import pytest
 from export import export
@@ -9,7 +10,7 @@ from forensics_cases import BASE, PEAK, changed, classified, evidence_of, two_gr
 
 from gsc_jax import locate
 from gsc_jax.benchmark.metrics import auc, truth_mask
-from gsc_jax.benchmark.scenes import tampered_room
+from gsc_jax.benchmark.scenes import make_room, tampered_room
 from gsc_jax.forensics.calibration import LEVEL_BESIDE_TRACES
 from gsc_jax.forensics.evidence import (
     TRACES,
@@ -201,3 +202,12 @@ def test_attributes_raise_the_verdict_of_masks_and_never_lower_it():
     ]
     assert verdicts[0] == verdicts[1] < verdicts[2]
     assert verdicts[1] == pytest.approx(locate(SAVED, MADE.cameras, masks, prior=False).verdict)
+
+
+def test_scenes_of_every_size_share_their_programs(caplog):
+    """A scan of a collection would collect them otherwise, and compile for every scene."""
+    first, second = make_room(seed=0, count=3_000), make_room(seed=1, count=4_100)
+    forensic_evidence(first)
+    with jax.log_compiles(), caplog.at_level("WARNING"):
+        forensic_evidence(second)
+    assert not [record.message for record in caplog.records if "Compiling" in record.message]

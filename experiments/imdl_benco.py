@@ -127,7 +127,9 @@ def measure(predictions: Folder, /, *, dataset: Path, out: Path | None = None) -
             counts = confusion(probability, tampered)
             values.append((counts.f1, counts.iou, auc(probability, tampered)))
     titles = ("pixel-level F1", "pixel-level IOU", "pixel-level AUC")
-    means = dict(zip(titles, np.mean(values, axis=0).tolist(), strict=True)) if values else {}
+    means: dict[str, float] = {}
+    if values:
+        means = dict(zip(titles, np.mean(values, axis=0).tolist(), strict=True))
     text = json.dumps({"images": len(values), **means})
     print(text)
     if out is not None:

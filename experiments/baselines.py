@@ -23,12 +23,28 @@ from gsc_jax.losses import loss_2d_from_evidence
 from gsc_jax.scene import Array
 from gsc_jax.vote import Tally, official_consensus
 
-__all__ = ["SA3D_LEVEL", "flashsplat", "mode_vote", "sa3d", "sagd_boundary", "sagd_vote"]
+__all__ = [
+    "SA3D_LEVEL",
+    "flashsplat",
+    "inverse_projection",
+    "mode_vote",
+    "sa3d",
+    "sagd_boundary",
+    "sagd_vote",
+]
 
 SA3D_LEVEL = 0.1
 """SA3D's threshold on the rendered score, which is not normalised."""
 MIN_OVERLAP = 0.5
 """SA3D's gate skips a view where the IoU of mask and rendered score is lower."""
+
+
+def inverse_projection(votes: Tally) -> np.ndarray:
+    """Label by back-projecting the masks and uniting them (GS-Checker, table 1).
+
+    True where the projected centre lies in the mask of at least one view, shape (N,) bool.
+    """
+    return np.asarray(votes.tampered) > 0
 
 
 def mode_vote(votes: Tally) -> np.ndarray:

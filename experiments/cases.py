@@ -13,12 +13,13 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
+from baselines import inverse_projection
 from cut_object import cut_object
 from detector_strengths import calibrated
 from garden import garden_cameras, make_garden
 
 from gsc_jax import load_cameras, load_ply
-from gsc_jax.benchmark.metrics import inverse_projection, mean_over_tampered_views, truth_mask
+from gsc_jax.benchmark.metrics import mean_over_tampered_views, truth_mask
 from gsc_jax.benchmark.scenes import make_object, make_room, room_cameras
 from gsc_jax.benchmark.simulate import REGIMES, Failures, decoy_labels, simulate
 from gsc_jax.benchmark.tamper import Edit, Tampered, tamper

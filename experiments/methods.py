@@ -6,10 +6,18 @@ from collections.abc import Callable, Mapping
 
 import jax.numpy as jnp
 import numpy as np
-from baselines import SA3D_LEVEL, flashsplat, mode_vote, sa3d, sagd_boundary, sagd_vote
+from baselines import (
+    SA3D_LEVEL,
+    flashsplat,
+    inverse_projection,
+    mode_vote,
+    sa3d,
+    sagd_boundary,
+    sagd_vote,
+)
 from observations import AllRegimes, CaseObservation, Method, Prediction
 
-from gsc_jax.benchmark.metrics import confusion, inverse_projection
+from gsc_jax.benchmark.metrics import confusion
 from gsc_jax.estimators import METHODS
 from gsc_jax.estimators.gschecker import OFFICIAL, GSChecker
 from gsc_jax.estimators.protocol import Estimator

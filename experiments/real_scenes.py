@@ -16,12 +16,12 @@ import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 import tyro
-from baselines import flashsplat, mode_vote, sa3d
+from baselines import flashsplat, inverse_projection, mode_vote, sa3d
 from methods import seeded
 from tables import Frame, Row, markdown, where, write_csv, write_section
 
 from gsc_jax import FolderDetector, load_cameras, load_ply, rendered_share, view_mask
-from gsc_jax.benchmark.metrics import confusion, inverse_projection
+from gsc_jax.benchmark.metrics import confusion
 from gsc_jax.estimators import RobustEstimator
 from gsc_jax.estimators.gschecker import OFFICIAL, PAPER
 from gsc_jax.estimators.protocol import Estimator

@@ -1,4 +1,4 @@
-"""Metrics of masks and labels, and a naive baseline.
+"""Metrics of masks and labels.
 
 The metrics are those of IMDL-BenCo, which the paper's tables use: P = TP / (TP + FP + e), R = TP /
 (TP + FN + e), F1 = 2 P R / (P + R + e) and IoU = TP / (TP + FP + FN + e) with e = 1e-8, in each
@@ -15,7 +15,6 @@ import numpy as np
 from gsc_jax.evidence.masks import rendered_share
 from gsc_jax.render.projection import NEAR
 from gsc_jax.scene import Array, Camera, Gaussians
-from gsc_jax.vote import Tally
 
 EPSILON = 1e-8
 
@@ -117,14 +116,6 @@ def auc(scores: Array, truth: Array) -> float:
         return float("nan")
     count = int(tampered.sum())
     return float((rankdata(scores)[tampered].sum() - count * (count + 1) / 2) / pairs)
-
-
-def inverse_projection(votes: Tally) -> np.ndarray:
-    """Label by back-projecting the masks and uniting them (GS-Checker, table 1).
-
-    True where the projected centre lies in the mask of at least one view, shape (N,) bool.
-    """
-    return np.asarray(votes.tampered) > 0
 
 
 def truth_mask(

@@ -8,7 +8,6 @@ only areas matter.
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple, TypeVar
 
 import jax.numpy as jnp
@@ -25,7 +24,7 @@ from gsc_jax.render.tiles import make_view
 from gsc_jax.render.visibility import check_views
 from gsc_jax.scene import Camera, Gaussians, InputError
 from gsc_jax.scene.gaussians import usable_rows
-from gsc_jax.scene.parallel import WORKERS, bounded_map
+from gsc_jax.scene.parallel import bounded_map, view_threads
 from gsc_jax.splat import accumulate
 
 Value = TypeVar("Value")
@@ -132,7 +131,7 @@ def scaled_down(camera: Camera) -> Camera:
 
 def map_views(function: Callable[[Camera], Value], cameras: Sequence[Camera]) -> list[Value]:
     """Apply a function to views in parallel threads."""
-    with ThreadPoolExecutor(WORKERS) as pool:
+    with view_threads() as pool:
         return list(bounded_map(pool, function, cameras))
 
 

@@ -12,7 +12,6 @@ import math
 import os
 import platform
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -33,7 +32,7 @@ from gsc_jax.io.masks import image_path, write_mask, write_probability
 from gsc_jax.io.ply import PlyScene, save_tampered
 from gsc_jax.locate import Result
 from gsc_jax.scene import Camera, Gaussians
-from gsc_jax.scene.parallel import WORKERS, bounded_map
+from gsc_jax.scene.parallel import bounded_map, view_threads
 from gsc_jax.splat import render
 
 PACKAGES = ("gsc_jax", "numpy", "jax", "jaxlib", "optax")
@@ -70,7 +69,7 @@ def write_results(
     def write_view(camera: Camera) -> np.ndarray:
         return _write_view(folder, gaussians, camera, result)
 
-    with ThreadPoolExecutor(WORKERS) as pool:
+    with view_threads() as pool:
         images = zip(cameras, bounded_map(pool, write_view, cameras), strict=True)
         for done, (camera, image) in enumerate(images, start=1):
             if camera.name in kept:

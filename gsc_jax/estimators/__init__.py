@@ -5,7 +5,6 @@ To add one, derive a frozen dataclass from `protocol.Estimator` and add its name
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import Literal
 
 from gsc_jax.estimators.gschecker import OFFICIAL, PAPER, GSChecker
@@ -13,7 +12,7 @@ from gsc_jax.estimators.protocol import Estimator, Finding, Prior
 from gsc_jax.estimators.robust.estimator import RobustEstimator
 from gsc_jax.evidence.observation import Observation
 from gsc_jax.scene import Camera, Gaussians
-from gsc_jax.scene.parallel import WORKERS, bounded_map
+from gsc_jax.scene.parallel import bounded_map, view_threads
 
 __all__ = [
     "METHODS",
@@ -106,5 +105,5 @@ def sweep(observation: Observation, estimators: Iterable[Estimator]) -> Iterator
     Returns:
         Iterator over the findings, in the order of the estimators.
     """
-    with ThreadPoolExecutor(WORKERS) as pool:
+    with view_threads() as pool:
         yield from bounded_map(pool, lambda estimator: estimator.estimate(observation), estimators)

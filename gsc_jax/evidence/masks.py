@@ -8,7 +8,6 @@ views without the object; that rule is available as `per-view` for comparison.
 import dataclasses
 import typing
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import Literal, NamedTuple, Protocol
 
 import jax
@@ -20,7 +19,7 @@ from gsc_jax.evidence.storage import ArrayStore, ByView
 from gsc_jax.render.projection import NEAR
 from gsc_jax.render.tiles import make_view, restricted
 from gsc_jax.scene import Array, Camera, Gaussians
-from gsc_jax.scene.parallel import WORKERS, bounded_map
+from gsc_jax.scene.parallel import bounded_map, view_threads
 from gsc_jax.splat import composite_with_alpha, require_finite
 
 MaskRule = Literal["share", "attribute", "per-view"]
@@ -105,7 +104,7 @@ def stored_masks(
     monitor: Monitor,
 ) -> ByView:
     """Compute the mask of every view and put it into the store: tampered pixels by camera name."""
-    with ThreadPoolExecutor(WORKERS) as pool:
+    with view_threads() as pool:
         masks = zip(cameras, bounded_map(pool, mask_of, cameras), strict=True)
         for done, (camera, mask) in enumerate(masks, start=1):
             store.put(MASK, camera.name, mask)

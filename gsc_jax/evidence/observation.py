@@ -9,7 +9,6 @@ import dataclasses
 import functools
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import jax
@@ -22,7 +21,7 @@ from gsc_jax.evidence.storage import ArrayStore, ByView
 from gsc_jax.render.projection import NEAR, project, project_centers
 from gsc_jax.render.tiles import View, bin_view
 from gsc_jax.scene import Camera, Gaussians, InputError
-from gsc_jax.scene.parallel import WORKERS, bounded_map
+from gsc_jax.scene.parallel import bounded_map, view_threads
 from gsc_jax.splat import render_view
 from gsc_jax.vote import Tally, cast_votes, no_votes, tally
 
@@ -113,7 +112,7 @@ def observe(
 
     # Shown before a slow first view ends.
     monitor.progress("views", len(cameras) - len(missing), len(cameras))
-    with ThreadPoolExecutor(WORKERS) as pool:
+    with view_threads() as pool:
         lifted = enumerate(bounded_map(pool, lift, detect()), len(cameras) - len(missing) + 1)
         for done, _ in lifted:
             monitor.progress("views", done, len(cameras))

@@ -5,28 +5,41 @@ NumPy and XLA release the interpreter lock while they compute, so two threads us
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Executor, Future
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from itertools import cycle
 from typing import TypeVar
 
+import jax
 import numpy as np
 
 Item = TypeVar("Item")
 Value = TypeVar("Value")
 
 WORKERS = 2
-"""Threads, and items in flight: more of them only cost memory, since XLA has its own threads."""
+"""Threads for a device: more of them only cost memory, since XLA has its own threads."""
 BLOCK = 2**18
 """Rows per call of `in_blocks`: their intermediate results take a few hundred megabytes at most."""
+
+
+def view_threads() -> ThreadPoolExecutor:
+    """Threads for views, which are independent; each thread computes on the next device of JAX."""
+    devices = cycle(jax.local_devices())
+
+    def start() -> None:
+        if jax.local_device_count() > 1:  # with one, programs are shared with the main thread
+            jax.default_device(next(devices)).__enter__()  # it ends with the thread
+
+    return ThreadPoolExecutor(WORKERS * jax.local_device_count(), initializer=start)
 
 
 def bounded_map(
     pool: Executor, function: Callable[[Item], Value], items: Iterable[Item]
 ) -> Iterator[Value]:
-    """Map in the threads of a pool, in order, with at most `WORKERS` items in flight."""
+    """Map in the threads of a pool, in order, with at most `WORKERS` items a device in flight."""
     waiting: deque[Future[Value]] = deque()
     for item in items:
         waiting.append(pool.submit(function, item))
-        if len(waiting) == WORKERS:
+        if len(waiting) == WORKERS * jax.local_device_count():
             yield waiting.popleft().result()
     while waiting:
         yield waiting.popleft().result()

@@ -5,14 +5,14 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 import pytest
-from baselines import SA3D_LEVEL, flashsplat, mode_vote, sa3d, sagd_vote
+from baselines import SA3D_LEVEL, flashsplat, inverse_projection, mode_vote, sa3d, sagd_vote
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy.spatial.transform import Rotation
 from strategies import blobs, camera, floats, random_scene
 
-from gsc_jax.benchmark.metrics import confusion, inverse_projection
+from gsc_jax.benchmark.metrics import confusion
 from gsc_jax.evidence.lifting import Evidence, view_evidence
 from gsc_jax.render.tiles import make_view
 from gsc_jax.splat import composite

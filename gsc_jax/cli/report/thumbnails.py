@@ -8,14 +8,13 @@ import io
 import math
 import os
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import quote
 
 from gsc_jax.cli.pictures import jpeg_path
 from gsc_jax.io.masks import image_path
-from gsc_jax.scene.parallel import WORKERS, bounded_map
+from gsc_jax.scene.parallel import bounded_map, view_threads
 
 LAYERS = {
     "render": "Render",
@@ -54,7 +53,7 @@ def thumbnails(folder: Path, names: Sequence[str]) -> Iterator[list[Thumbnail]]:
             if paths[layer].is_file()
         ]
 
-    with ThreadPoolExecutor(WORKERS) as pool:
+    with view_threads() as pool:
         yield from bounded_map(pool, of_view, names)
 
 

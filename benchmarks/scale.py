@@ -185,9 +185,25 @@ def compared(values: dict) -> str:
     return markdown([f"{values['scenes']} scenes", "time", "times as fast"], lines)
 
 
+def memory(values: dict) -> str:
+    """Table: the largest memory of a worker over a scan of many scenes."""
+    lines = [
+        [
+            workers,
+            f"{values[name]['peak_mib'] / 1024:.2f} GiB",
+            f"{values[name]['growth_mib_per_100']:.0f} MiB",
+        ]
+        for name in ("scan1", "scan2")
+        for workers in [name.removeprefix("scan")]
+    ]
+    heads = [f"workers, {values['scenes']} scenes", "peak of a worker", "growth per 100 scenes"]
+    return markdown(heads, lines)
+
+
 def main() -> None:
     """Print and write the tables."""
-    part = json.loads((common.DOCS / "performance.json").read_text())["collection"]
+    parts = json.loads((common.DOCS / "performance.json").read_text())
+    part = parts["collection"]
     values = {**part["values"], "cores": part["machine"]["cores"]}
     costs = measured_costs(values)
     start = values["scan1"]["seconds"] - values["scan1"]["work"]
@@ -203,6 +219,7 @@ def main() -> None:
             f"{shares}. A scan starts in {start:.0f} s.",
             compared(values),
             against_ray(costs, values),
+            memory(parts["collection200"]["values"]),
             million(costs, start),
         ]
     )

@@ -47,7 +47,8 @@ def test_files_of_editors_are_judged_and_keep_every_column(editor, tmp_path):
     command = ["locate", str(tmp_path / "point_cloud.ply"), "--out", str(tmp_path / "found")]
     assert main([*command, "--cameras", str(tmp_path / "cameras.json")]) == 0
     kept = PlyData.read(str(tmp_path / "found" / "tamper.ply"))["vertex"].data
-    assert kept.dtype.names[: len(original.dtype.names)] == original.dtype.names
-    for name in original.dtype.names:
+    names, kept_names = list(original.dtype.names or ()), list(kept.dtype.names)
+    assert names == kept_names[: len(names)]
+    for name in names:
         np.testing.assert_array_equal(kept[name], original[name])
-    assert "tamper" in kept.dtype.names
+    assert "tamper" in kept_names

@@ -126,7 +126,7 @@ def usable_rows(gaussians: Gaussians) -> np.ndarray:
 
 def rotation_matrices(gaussians: Gaussians) -> np.ndarray:
     """Rotation matrices, whose columns are the axes of the Gaussians, shape (N, 3, 3) float32."""
-    quats = np.asarray(gaussians.quats)
+    quats = np.asarray(gaussians.quats, np.float64)
     usable = (np.isfinite(quats) & quats.any(axis=1, keepdims=True)).all(axis=1, keepdims=True)
     quats = np.where(usable, quats, IDENTITY_QUATERNION)
     return Rotation.from_quat(quats, scalar_first=True).as_matrix().astype(np.float32)

@@ -1,5 +1,7 @@
 """Rotations and usable rows of Gaussians, and robust statistics."""
 
+import dataclasses
+
 import numpy as np
 import reference
 from strategies import random_scene, with_row
@@ -12,6 +14,14 @@ def test_rotation_matrices_are_those_of_the_quaternions():
     scene = with_row(random_scene(50), "quats", [-2, 0, 0, 0])
     expected = reference.rotations(scene.quats)
     np.testing.assert_allclose(rotation_matrices(scene), expected, atol=1e-6)
+    for length in (1e-30, 1e9):  # neither overflows nor underflows
+        scaled = dataclasses.replace(scene, quats=np.float32(length) * np.asarray(scene.quats))
+        np.testing.assert_allclose(rotation_matrices(scaled), expected, atol=1e-6)
+
+
+def test_a_damaged_rotation_is_the_identity():
+    scene = with_row(with_row(random_scene(3), "quats", 0, row=0), "quats", np.nan, row=1)
+    np.testing.assert_array_equal(rotation_matrices(scene)[:2], [np.eye(3)] * 2)
 
 
 def test_rows_are_usable_unless_a_parameter_is_damaged():

@@ -77,15 +77,16 @@ class OnnxDetector(NetworkDetector):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Anomalies in the outputs of the views so far."""
-        views = self.diagnostics.values()
-        if not views or not all(counts["squashed"] for counts in views):
-            return super().warnings
-        return (
-            *super().warnings,
-            f"{self.path}: all outputs lie in [0, 1] before the sigmoid, so they look like "
-            'probabilities already; try activation = "none"',
-        )
+        """Anomalies in the outputs of the views so far, and a preset that may be the wrong one."""
+        found, views = super().warnings, self.diagnostics.values()
+        free = not all(isinstance(side, int) for side in self._network.inputs[0].shape[2:])
+        if free and self.spec.size and self.spec in PRESETS.values():
+            text = "takes any size, unlike the network of the preset; is it the right preset?"
+            found = (*found, f"{self.path}: {text}")
+        if views and all(counts["squashed"] for counts in views):
+            text = "all outputs lie in [0, 1] before the sigmoid, so they look like probabilities"
+            found = (*found, f'{self.path}: {text} already; try activation = "none"')
+        return found
 
     @functools.cached_property
     def fingerprint(self) -> str:

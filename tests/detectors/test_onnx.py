@@ -1,5 +1,7 @@
 """A network receives the image and returns the map as its spec describes."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from onnx import TensorProto, helper
@@ -250,6 +252,14 @@ def test_invalid_arguments_are_refused(tmp_path):
         OnnxDetector(network(tmp_path)).select([])
     with pytest.raises(ValueError, match="needs the rendered image"):
         OnnxDetector(network(tmp_path))(None, VIEW)
+
+
+@pytest.mark.parametrize("name", ["iml-vit", "pscc-net"])
+def test_a_preset_of_a_network_with_another_input_is_questioned(tmp_path, name):
+    other = OnnxDetector(network(tmp_path, shape=FREE), dataclasses.replace(PRESETS[name]))
+    assert any("right preset" in text for text in other.warnings) == (name == "iml-vit")
+    own = OnnxDetector(other.path, dataclasses.replace(PRESETS[name], size=512, fit="resize"))
+    assert own.warnings == ()
 
 
 @pytest.mark.parametrize(

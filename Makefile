@@ -61,6 +61,7 @@ results: $(VENV)/installed-dev
 	for name in published_fit published departures mask_checks heldout unseen fusion native importance native_real editing beyond calibration enough ablation robustness authentic parsimony stability speed_accuracy real_scenes; do \
 	  $(BIN)/python experiments/$$name.py || exit 1; done
 	$(BIN)/python experiments/backbones.py --seeds 1
+	$(BIN)/python experiments/adaptive.py --scenes garden room kitchen --edits modification --seeds 1
 
 docs: $(VENV)/installed-dev
 	$(BIN)/python docs/pictures.py

@@ -42,11 +42,12 @@ def main() -> int:
     parser.add_argument("--views", type=int, default=100)
     parser.add_argument("--size", type=int, nargs=2, default=(640, 480))
     parser.add_argument("--bound", type=float, default=4.0, help="GiB")
+    parser.add_argument("--memory", type=float, help="--memory of `locate` in GiB")
     parser.add_argument("--folder", type=Path, help="for the files, by default a temporary one")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory(dir=options.folder) as folder:
         make_input(Path(folder), int(options.gaussians), options.views, tuple(options.size))
-        return 0 if measured(Path(folder), options.bound) else 1
+        return 0 if measured(Path(folder), options.bound, options.memory) else 1
 
 
 def make_input(folder: Path, count: int, views: int, size: tuple[int, int]) -> None:
@@ -78,11 +79,12 @@ def write_scene(path: Path, gaussians: Gaussians, count: int) -> None:
             file.write(vertices.data.tobytes())
 
 
-def measured(folder: Path, bound: float) -> bool:
+def measured(folder: Path, bound: float, memory: float | None) -> bool:
     """Run `locate` in a process of its own; whether its peak memory is below the bound in GiB."""
     command = [sys.executable, "-m", "gsc_jax", "locate", folder / "scene.ply"]
     command += ["--cameras", folder / "cameras.json", "--masks", folder / "masks"]
     command += ["--out", folder / "found", "--no-cache"]
+    command += [] if memory is None else ["--memory", memory]
     start = time.perf_counter()
     process = subprocess.Popen([str(part) for part in command])
     _, status, usage = os.wait4(process.pid, 0)

@@ -5,13 +5,15 @@
 `locate`: 300,000 Gaussians, 100 views of 640x420, masks given. `robust`: the estimators on that
 evidence. `attributes`: the evidence in the attributes. `rendered`: the optimisation by rendering in
 every iteration. `memory`: 3 million Gaussians and 100 views, in a process of its own. `cold`:
-import and first view in new processes, with and without the compilation cache. `sweep`: a hundred
+import and first view in new processes, with and without the compilation cache, and
+`gsc-jax locate` of a scene of 200,000 Gaussians without cameras and masks. `sweep`: a hundred
 configurations on evidence computed once. `scaling`: seconds against Gaussians and pixels, with the
 chart `docs/performance.png`. Each part is written to `docs/performance.json`.
 """
 
 import contextlib
 import dataclasses
+import os
 import subprocess
 import sys
 import tempfile
@@ -19,6 +21,7 @@ import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal, get_args
+from unittest import mock
 
 import common
 import jax.numpy as jnp
@@ -176,11 +179,23 @@ print(imported - start, time.perf_counter() - begin)
 
 
 def cold() -> dict:
-    """Seconds of import and first view in two processes that share a compilation cache."""
+    """Seconds of import, first view and a whole command, in two processes that share a cache."""
     with tempfile.TemporaryDirectory() as cache:
         outputs = [output_of("-c", FIRST_VIEW, cache) for _ in range(2)]
     (imported, first), (_, second) = (map(float, output.split()) for output in outputs)
-    return {"import": imported, "first view": first, "first view, cached": second}
+    command, cached = command_seconds()
+    views = {"first view": first, "first view, cached": second}
+    return {"import": imported, **views, "command": command, "command, cached": cached}
+
+
+def command_seconds(count: int = 200_000) -> list[float]:
+    """Seconds of `gsc-jax locate scene.ply` to the finished report, in two new processes."""
+    with tempfile.TemporaryDirectory() as folder:
+        scene, out = Path(folder) / "scene.ply", Path(folder) / "found"
+        gsc_jax.save_ply(scene, common.of_count(next(common.scenes())[1], count))
+        arguments = ["-m", "gsc_jax", "locate", str(scene), "--out", str(out)]
+        with mock.patch.dict(os.environ, XDG_CACHE_HOME=folder):  # no compiled functions
+            return [common.seconds(lambda: output_of(*arguments)) for _ in range(2)]
 
 
 def sweep(configurations: int = 100) -> dict:

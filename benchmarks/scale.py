@@ -170,7 +170,7 @@ def million(costs: Costs, start: float) -> str:
 
 
 def compared(values: dict) -> str:
-    """Table: a loop over `gsc-jax locate` and scans that write the same folders."""
+    """Table: a loop over `gsc-jax locate`, scans that write the same folders, and rows alone."""
     lines = [["loop over `gsc-jax locate`", f"{values['loop']:.0f} s", "1.00"]]
     for name in values:
         if name.startswith("reports"):
@@ -185,19 +185,18 @@ def compared(values: dict) -> str:
     return markdown([f"{values['scenes']} scenes", "time", "times as fast"], lines)
 
 
-def memory(values: dict) -> str:
-    """Table: the largest memory of a worker over a scan of many scenes."""
+def memory(rows: dict, reports: dict) -> str:
+    """Table: the largest memory of a worker over scans of many scenes, without and with reports."""
+    scans = {
+        f"{rows['scenes']} scenes, rows only, {n} worker{'s' * (n > 1)}": rows[f"scan{n}"]
+        for n in (1, 2)
+    }
+    scans[f"{reports['scenes']} scenes, every report, 1 worker"] = reports["reports1"]
     lines = [
-        [
-            workers,
-            f"{values[name]['peak_mib'] / 1024:.2f} GiB",
-            f"{values[name]['growth_mib_per_100']:.0f} MiB",
-        ]
-        for name in ("scan1", "scan2")
-        for workers in [name.removeprefix("scan")]
+        [name, f"{scan['peak_mib'] / 1024:.2f} GiB", f"{scan['growth_mib_per_100']:.0f} MiB"]
+        for name, scan in scans.items()
     ]
-    heads = [f"workers, {values['scenes']} scenes", "peak of a worker", "growth per 100 scenes"]
-    return markdown(heads, lines)
+    return markdown(["scan", "peak of a worker", "growth per 100 scenes"], lines)
 
 
 def main() -> None:
@@ -219,7 +218,8 @@ def main() -> None:
             f"{shares}. A scan starts in {start:.0f} s.",
             compared(values),
             against_ray(costs, values),
-            memory(parts["collection200"]["values"]),
+            memory(parts["collection200"]["values"], parts["collection_reports"]["values"]),
+            compared(parts["collection200"]["values"]),
             million(costs, start),
         ]
     )

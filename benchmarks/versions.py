@@ -1,11 +1,12 @@
 """Time per stage of a view with the JAX of another environment, in units of that of this one.
 
-    python benchmarks/versions.py .venv-3.12/bin/python [--width 480] [--rounds 5]
+    python benchmarks/versions.py .venv-3.12/bin/python [--width 480] [--rounds 5] [--scenes 3]
 
 Two versions cannot share a process, so their processes take turns, and the median ratio of two
 consecutive ones is printed. CPU time is compared, because it depends less on other load.
 """
 
+import itertools
 import json
 import subprocess
 import sys
@@ -25,16 +26,22 @@ REPEATS = 9
 """Timed runs of a stage in a process."""
 
 
-def main(other: Annotated[Path, tyro.conf.Positional], width: int = 480, rounds: int = 5) -> None:
+def main(
+    other: Annotated[Path, tyro.conf.Positional],
+    width: int = 480,
+    rounds: int = 5,
+    scenes: int | None = None,
+) -> None:
     """Measure in turns and print the ratios.
 
     Args:
         other: The interpreter of an environment in which gsc_jax and tyro are installed.
         width: Image width in pixels; the height is three quarters of it.
         rounds: Processes of each version.
+        scenes: Number of scenes; default all.
     """
     turns = [
-        [measured_by(python, width) for python in (Path(sys.executable), other)]
+        [measured_by(python, width, scenes) for python in (Path(sys.executable), other)]
         for _ in trange(rounds, desc="rounds", disable=None)
     ]
     (name, own), (other_name, _) = turns[0]
@@ -47,10 +54,10 @@ def main(other: Annotated[Path, tyro.conf.Positional], width: int = 480, rounds:
         print(f"{stage:24}{here:8.1f} ms{there:8.1f} ms{ratio:8.2f}  ({spread})")
 
 
-def measured_by(python: Path, width: int) -> tuple[str, dict[str, float]]:
+def measured_by(python: Path, width: int, scenes: int | None) -> tuple[str, dict[str, float]]:
     """Version of JAX and median CPU seconds of each stage, in a process of an interpreter."""
     # Absolute, as the process runs in another folder, but without following the link of a venv.
-    command = [python.absolute(), "-c", f"import versions; versions.measure({width})"]
+    command = [python.absolute(), "-c", f"import versions; versions.measure({width}, {scenes})"]
     output = subprocess.run(
         command, check=True, capture_output=True, text=True, cwd=Path(__file__).parent
     )
@@ -58,10 +65,10 @@ def measured_by(python: Path, width: int) -> tuple[str, dict[str, float]]:
     return version, stages
 
 
-def measure(width: int) -> None:
+def measure(width: int, scenes: int | None) -> None:
     """Print what `measured_by` reads."""
     totals: dict[str, list[float]] = {}
-    for _, gaussians, cameras in common.scenes():
+    for _, gaussians, cameras in itertools.islice(common.scenes(), scenes):
         camera = cameras[1].resized(width, width * 3 // 4)
         rgba, maps = splat.features_and_maps(gaussians, camera)
         runs = splat.stages(gaussians, camera, rgba, maps)

@@ -1,4 +1,4 @@
-"""CSV files, tables in Markdown and sections of `docs/results.md`."""
+"""CSV files, tables in Markdown and sections of `docs/results*.md`."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -33,8 +33,13 @@ def read_csv(path: Path) -> Frame:
 
 
 def write_section(path: Path, name: str, text: str) -> None:
-    """Replace the text between `<!-- name -->` and `<!-- /name -->`; append both if missing."""
+    """Replace the text between `<!-- name -->` and `<!-- /name -->`; append both if missing.
+
+    The section may be in `path` or in a page beside it, such as results-paper.md of results.md.
+    """
     begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
+    pages = path.parent.glob(f"{path.stem}-*.md")
+    path = next((page for page in pages if begin in page.read_text()), path)
     page = path.read_text() if path.exists() else ""
     if begin not in page or end not in page:
         page = f"{page}\n{begin}\n{end}\n"

@@ -31,7 +31,6 @@ from gsc_jax.forensics.calibration import peak_log_odds, scene_calibration
 from gsc_jax.forensics.classifier import (
     Classifier,
     Layers,
-    as_arrays,
     smoothed_log_odds,
     smoothed_novelty,
 )
@@ -280,6 +279,16 @@ def save(path: Path, classifier: Classifier) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic(path) as temporary, temporary.open("wb") as file:
         np.savez_compressed(file, allow_pickle=False, **as_arrays(classifier))
+
+
+def as_arrays(classifier: Classifier) -> dict[str, np.ndarray]:
+    """Arrays of a classifier by name, for `np.savez`."""
+    arrays = {"shape": np.array([len(classifier.networks), len(classifier.networks[0])])}
+    for i, layers in enumerate(classifier.networks):
+        for k, (weights, bias) in enumerate(layers):
+            arrays |= {f"weights{i}.{k}": weights, f"bias{i}.{k}": bias}
+    others = ("names", "novelty", "calibration", "base", "scene")
+    return arrays | {name: np.array(getattr(classifier, name)) for name in others}
 
 
 def main(args: Args) -> None:

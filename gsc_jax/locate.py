@@ -14,7 +14,7 @@ The steps, in the terms of GS-Checker (section 3), and where each is:
 
 import dataclasses
 import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -26,16 +26,14 @@ from gsc_jax.estimators.protocol import Outcome, Reliability, outcome
 from gsc_jax.estimators.robust.early_stopping import EarlyStopping, observe_until_stable
 from gsc_jax.evidence.detector import Detector, as_detector
 from gsc_jax.evidence.mask_checks import doubts
-from gsc_jax.evidence.masks import stored_masks, view_mask
+from gsc_jax.evidence.masks import filled_scores, mask_and_render, stored_masks, view_mask
 from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.evidence.observation import EVIDENCE, Observation, check_cameras, observe
 from gsc_jax.evidence.storage import ArrayStore
 from gsc_jax.forensics.evidence import ForensicEvidence, estimate_from_attributes, forensic_evidence
 from gsc_jax.render.visibility import check_views
 from gsc_jax.scene import Camera, Gaussians, invalid_rows
-
-MIN_CONFIRMED = 0.1
-"""Warn if the final masks cover less than this share of what the detector flagged."""
+from gsc_jax.scene.gaussians import filled_up
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -92,8 +90,8 @@ class Result:
 
 def locate(
     gaussians: Gaussians,
-    cameras: Sequence[Camera],
-    detector: Detector | Callable[[np.ndarray], Any] | Mapping[str, Any] | None,
+    cameras: Iterable[Camera],
+    detector: Detector | Callable[[np.ndarray], Any] | Mapping[str, Any] | Iterable[Any] | None,
     *,
     method: Method | None = None,
     config: Estimator | None = None,
@@ -107,16 +105,17 @@ def locate(
         gaussians: N Gaussians.
         cameras: The views, each with another name.
         detector: A 2D detector, a function from an image (H, W, 3) to a probability map of any
-            size, or probability maps by camera name. With None, `robust` uses the attributes of
-            the Gaussians alone, and the views only show the result.
+            size, or probability maps: by camera name, or in the order of the cameras. With None,
+            `robust` uses the attributes of the Gaussians alone, and the views only show the result.
         method: `robust` (infers the reliability of every mask), `official` (the released code of
             GS-Checker) or `paper` (its equations); by default that of `config`, or else `robust`.
         config: Replaces the default configuration of the method, e.g. a `RobustEstimator`.
         prior: True to compute the evidence from the attributes for methods that use a prior, False
             for none, or a prior.
         monitor: Records time, memory and progress.
-        store: Where the arrays of the views are kept; those of an interrupted run of the same
-            input are used. By default in memory, beyond a bound in temporary files.
+        store: Where the arrays of the views are kept, also their renders in 8 bit; those of an
+            interrupted run of the same input are used. By default in memory, beyond a bound in
+            temporary files, and without renders.
 
     Returns:
         The result; deterministic for one configuration.
@@ -128,24 +127,25 @@ def locate(
     """
     estimator, monitor = configured(method, config), monitor or Monitor()
     given, store = store, store or ArrayStore()
+    cameras = check_cameras(cameras)
     warnings = [*check_views(gaussians, cameras, near=estimator.near), *_unusable(gaussians)]
-    check_cameras(cameras)
     gaussians = jax.tree.map(jnp.asarray, gaussians)
     known = _prior(gaussians, estimator, prior, monitor)  # attributes -> prior
     if detector is None:  # prior -> decide
         found = _from_attributes(estimator, known, monitor)
     else:  # cameras -> render -> detect -> vote and lift -> optimise -> decide
-        detector = as_detector(detector)
+        detector = as_detector(detector, cameras)
         settings = {"near": estimator.near, "store": store, "monitor": monitor}
         observed = functools.partial(observe, gaussians, detector=detector, **settings)
         found = _from_views(observed, cameras, detector, estimator, known, monitor)
     finding, estimator = found.finding, found.estimator
     if given is None:
         store.release(EVIDENCE)  # the result keeps the store for its masks
-    mask_of = functools.partial(_view_mask, gaussians, finding, estimator, monitor)
-    masks = stored_masks(mask_of, cameras, store, monitor)  # labels -> masks
-    if finding.verdict is None:  # `robust` explains disagreement by the reliability of masks
-        warnings += _unconfirmed(found.flagged, masks)
+    settings = {"threshold": estimator.threshold, "near": estimator.near}
+    settings |= {"rule": estimator.mask_rule, "scored": filled_scores(finding)}
+    mask_of = view_mask if given is None else mask_and_render
+    compute = functools.partial(mask_of, filled_up(gaussians), **settings)
+    masks = stored_masks(compute, cameras, store, monitor)  # labels -> masks
     return Result(
         tamper=finding.tamper,
         labels=finding.labels,
@@ -194,7 +194,6 @@ class _Estimated:
     seen: np.ndarray
     estimator: Estimator
     views: Sequence[str] = ()
-    flagged: Mapping[str, np.ndarray] = dataclasses.field(default_factory=dict)
     probabilities: Mapping[str, np.ndarray] = dataclasses.field(default_factory=dict)
     early_stopping: EarlyStopping | None = None
     warnings: Sequence[str] = ()
@@ -232,7 +231,6 @@ def _from_views(
         seen=observation.evidence.seen,
         estimator=estimator,
         views=[camera.name for camera in observation.cameras],
-        flagged=observation.masks,
         probabilities=observation.probabilities,
         early_stopping=stop,
         warnings=[*reasons, *_without_mask(cameras, chosen), *getattr(detector, "warnings", ())],
@@ -253,26 +251,6 @@ def _from_attributes(estimator: Estimator, prior: Prior | None, monitor: Monitor
     return _Estimated(finding=finding, seen=prior.known, estimator=estimator)
 
 
-def _view_mask(
-    gaussians: Gaussians, finding: Finding, estimator: Estimator, monitor: Monitor, camera: Camera
-) -> np.ndarray:
-    rule, threshold, near = estimator.mask_rule, estimator.threshold, estimator.near
-    with monitor.stage("masks"):
-        return view_mask(gaussians, camera, finding, rule=rule, threshold=threshold, near=near)
-
-
-def _unconfirmed(flagged: Mapping[str, np.ndarray], masks: Mapping[str, np.ndarray]) -> list[str]:
-    """Warn if the final masks cover next to nothing of what the detector flagged."""
-    by_detector = np.mean([mask.mean() for mask in flagged.values()])
-    final = np.mean([masks[name].mean() for name in flagged])
-    if not 0 < final < MIN_CONFIRMED * by_detector:
-        return []
-    return [
-        f"The detector flags {by_detector:.1%} of all pixels, the final masks cover {final:.2%}, "
-        "since its masks disagree. A smaller lambda2, or the method robust, tolerates more of that."
-    ]
-
-
 def _unusable(gaussians: Gaussians) -> list[str]:
     """Warn about rows that cannot be rendered, counted by reason."""
     reasons = {name: rows for name, rows in invalid_rows(gaussians).items() if rows.any()}
@@ -290,9 +268,5 @@ def _without_mask(cameras: Sequence[Camera], chosen: Sequence[Camera]) -> list[s
     """Warn about cameras for which the detector has no output."""
     names = {camera.name for camera in chosen}
     missing = [camera.name for camera in cameras if camera.name not in names]
-    if not missing:
-        return []
-    return [
-        f"{len(missing)} of {len(cameras)} cameras have no mask and were not used (the first is "
-        f"{missing[0]!r})."
-    ]
+    text = f"{len(missing)} of {len(cameras)} cameras have no mask and were not used"
+    return [f"{text} (the first is {missing[0]!r})."] if missing else []

@@ -105,7 +105,7 @@ def step(
 
     def loss_cyc(r):
         l_2d = view_loss(r)
-        l_3d = jax.lax.cond(gamma != 0, contrast, lambda r: 0.0 * r[0], r)
+        l_3d = jax.lax.cond(gamma != 0, contrast, lambda r: jnp.zeros((), r.dtype), r)
         return config.beta * l_2d + gamma * l_3d, (l_2d, l_3d)
 
     gradient, (l_2d, l_3d) = jax.grad(loss_cyc, has_aux=True)(state.r)

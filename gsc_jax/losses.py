@@ -12,7 +12,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from gsc_jax.evidence.lifting import Evidence
-from gsc_jax.render.spherical_harmonics import Y0
 from gsc_jax.scene import Array, Gaussians, pytree
 from gsc_jax.scene.statistics import median_and_mad
 
@@ -152,8 +151,7 @@ def standardised_attributes(gaussians: Gaussians) -> np.ndarray:
     rotations = np.where(rotations[:, :1] < 0, -rotations, rotations)
     logits = np.clip(host.logit_opacities, -MAX_ABS_LOGIT, MAX_ABS_LOGIT)[:, None]
     log_scales = np.maximum(host.log_scales, -MAX_ABS_LOGIT)
-    color = 0.5 + Y0 * host.sh[:, 0]
-    raw = np.concatenate([host.means, color, logits, log_scales, rotations], axis=1).T
+    raw = np.concatenate([host.means, host.sh[:, 0], logits, log_scales, rotations], axis=1).T
     # In NumPy, because a median is a sort, which is ten times slower in XLA on a CPU.
     usable = raw[:, np.isfinite(raw).all(axis=0)]
     center, spread = median_and_mad(usable, axis=1)

@@ -10,6 +10,7 @@ and vmapped. JAX cannot reverse the early-ending loop, so `composite` has a cust
 """
 
 import dataclasses
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -19,7 +20,7 @@ from jax.core import Tracer
 from jax.custom_derivatives import CustomVJPPrimal, SymbolicZero
 
 from gsc_jax.render.derivatives import derivatives
-from gsc_jax.render.projection import NEAR
+from gsc_jax.render.projection import NEAR, project
 from gsc_jax.render.reprojection import require_view_of
 from gsc_jax.render.spherical_harmonics import colors
 from gsc_jax.render.tiles import TILE, View, make_view
@@ -56,9 +57,13 @@ def composite(view: View, features: jax.Array) -> jax.Array:
     return _join_tiles(view, blended.reshape(-1, *blended.shape[2:]))
 
 
+@jax.custom_vjp
 @jax.jit
 def accumulate(view: View, maps: jax.Array) -> jax.Array:
-    """Sum maps (H, W, D) over the pixels with the weights of each Gaussian, shape (N, D): W^T m."""
+    """Sum maps (H, W, D) over the pixels with the weights of each Gaussian, shape (N, D): W^T m.
+
+    Differentiable with respect to the maps, where the gradient is `composite`, and `view.splats`.
+    """
     if maps.ndim != 3 or maps.shape[:2] != (view.height, view.width):
         raise ValueError(f"maps must be ({view.height}, {view.width}, D), got {maps.shape}")
     tiled = split_tiles(view, maps)
@@ -90,11 +95,33 @@ def _backward(saved: tuple, cotangent: jax.Array) -> tuple[View | None, jax.Arra
     if image is None:
         return None, accumulate(view, cotangent)
     by_splats, by_features = derivatives(view, features, image, cotangent)
+    return _only_splats(view, by_splats), by_features
+
+
+def _only_splats(view: View, by_splats: jax.Array) -> View:
+    """Derivatives by a view, of which only the splats have any."""
     nothing = dict.fromkeys(("ids", "tiles", "starts", "counts"))
-    return dataclasses.replace(view, splats=by_splats, **nothing), by_features
+    return dataclasses.replace(view, splats=by_splats, **nothing)
+
+
+def _accumulate_forward(view: Any, maps: CustomVJPPrimal) -> tuple[jax.Array, tuple]:
+    known = jax.tree.map(lambda leaf: leaf.value, (view, maps))
+    return accumulate(*known), (known[0], known[1] if view.splats.perturbed else None)
+
+
+def _accumulate_backward(saved: tuple, cotangent: jax.Array) -> tuple[View | None, jax.Array]:
+    """The gradient of <s, W^T m> is that of <W s, m>: W s by the maps, as above by the splats."""
+    view, maps = saved
+    if isinstance(cotangent, SymbolicZero):
+        cotangent = jnp.zeros(cotangent.shape, cotangent.dtype)
+    image = composite(view, cotangent)
+    if maps is None:
+        return None, image
+    return _only_splats(view, derivatives(view, cotangent, image, maps)[0]), image
 
 
 composite.defvjp(_forward, _backward, symbolic_zeros=True)
+accumulate.defvjp(_accumulate_forward, _accumulate_backward, symbolic_zeros=True)
 
 
 def _join_tiles(view: View, blended: jax.Array) -> jax.Array:
@@ -121,14 +148,29 @@ def require_finite(name: str, values: jax.Array) -> jax.Array:
     return values
 
 
+Cameras = Camera | Sequence[Camera]
+"""A camera, or V cameras of one image size, whose images are stacked along a first axis V."""
+
+
+def _stacked(render_one: Callable[[Camera], Any], cameras: Sequence[Camera]) -> Any:
+    """Stack what a function returns for each of several cameras of one image size."""
+    cameras = list(cameras)
+    sizes = sorted({f"{camera.width} x {camera.height}" for camera in cameras})
+    if len(sizes) != 1:
+        found = f"images of {' and '.join(sizes[:2])} pixels" if sizes else "none"
+        raise ValueError(f"expected a camera, or cameras of one image size to stack, got {found}")
+    return jax.tree.map(lambda *images: jnp.stack(images), *map(render_one, cameras))
+
+
 def render_features(
-    gaussians: Gaussians, camera: Camera, features: Array, *, near: float = NEAR
+    gaussians: Gaussians, camera: Cameras, features: Array, *, near: float = NEAR
 ) -> tuple[jax.Array, jax.Array]:
     """Render any features of the Gaussians.
 
     Args:
         gaussians: N Gaussians.
-        camera: Pose, intrinsics and image size.
+        camera: Pose, intrinsics and image size; or V cameras of one size, which add a first axis V
+            to image and alpha.
         features: One row per Gaussian, shape (N, D).
         near: Near plane in world units.
 
@@ -136,15 +178,41 @@ def render_features(
         Image (H, W, D), not divided by alpha, and alpha (H, W).
 
     Raises:
-        ValueError: if the number of rows is not N, or a feature is not finite.
+        ValueError: if the number of rows is not N, a feature is not finite, or image sizes differ.
     """
+    if not isinstance(camera, Camera):
+        return _stacked(lambda one: render_features(gaussians, one, features, near=near), camera)
     features = require_finite("features", jnp.asarray(features, jnp.float32))
     return composite_with_alpha(make_view(gaussians, camera, near=near), features)
 
 
+def render_depth(
+    gaussians: Gaussians, camera: Cameras, *, near: float = NEAR
+) -> tuple[jax.Array, jax.Array]:
+    """Render the expected depth, differentiable like `render`.
+
+    Args:
+        gaussians: N Gaussians.
+        camera: Pose, intrinsics and image size; or V cameras of one size, which add a first axis V.
+        near: Near plane in world units.
+
+    Returns:
+        Mean depth (H, W) along the optical axis in world units, by blending weight, and alpha.
+
+    Raises:
+        TypeError: if `jax.jit` or `jax.vmap` traces the Gaussians or the camera.
+        ValueError: if image sizes differ.
+    """
+    if not isinstance(camera, Camera):
+        return _stacked(lambda one: render_depth(gaussians, one, near=near), camera)
+    depths = project(gaussians, camera, near=near).depths[:, None]
+    blended, alpha = composite_with_alpha(make_view(gaussians, camera, near=near), depths)
+    return blended[..., 0] / jnp.where(alpha > 0, alpha, 1.0), alpha
+
+
 def render(
     gaussians: Gaussians,
-    camera: Camera,
+    camera: Cameras,
     *,
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),
     near: float = NEAR,
@@ -153,7 +221,7 @@ def render(
 
     Args:
         gaussians: N Gaussians.
-        camera: Pose, intrinsics and image size.
+        camera: Pose, intrinsics and image size; or V cameras of one size, which add a first axis V.
         background: RGB in [0, 1] behind the scene.
         near: Near plane in world units.
 
@@ -161,10 +229,14 @@ def render(
         RGB (H, W, 3) in [0, 1] and alpha (H, W) in [0, 1].
 
     Raises:
-        TypeError: under `jax.jit` or `jax.vmap`; see `render_view`.
-        ValueError: if the background is no colour in [0, 1].
+        TypeError: if `jax.jit` or `jax.vmap` traces the Gaussians or the camera; see `render_view`.
+        ValueError: if the background is no colour in [0, 1], or image sizes differ.
     """
-    if np.shape(background) != (3,) or not all(0 <= channel <= 1 for channel in background):
+    if not isinstance(camera, Camera):
+        settings = {"background": background, "near": near}
+        return _stacked(lambda one: render(gaussians, one, **settings), camera)
+    traced = isinstance(background, Tracer)
+    if np.shape(background) != (3,) or not (traced or all(0 <= x <= 1 for x in background)):
         raise ValueError(f"background must be three numbers in [0, 1], got {background}")
     view = make_view(gaussians, camera, near=near)
     return render_view(view, gaussians, camera, background=background)
@@ -199,7 +271,7 @@ def render_view(
 
 
 def accumulate_maps(
-    gaussians: Gaussians, camera: Camera, maps: Array, *, near: float = NEAR
+    gaussians: Gaussians, camera: Cameras, maps: Array | Sequence[Array], *, near: float = NEAR
 ) -> jax.Array:
     """Lift maps to the Gaussians: the adjoint of `render_features`.
 
@@ -207,8 +279,8 @@ def accumulate_maps(
 
     Args:
         gaussians: N Gaussians.
-        camera: Pose, intrinsics and image size.
-        maps: One value per pixel and channel, shape (H, W, D).
+        camera: Pose, intrinsics and image size; or V cameras, over which the sums go, too.
+        maps: One value per pixel and channel, shape (H, W, D); V of them for V cameras.
         near: Near plane in world units.
 
     Returns:
@@ -218,5 +290,10 @@ def accumulate_maps(
     Raises:
         ValueError: if the maps do not have the size of the image, or a value is not finite.
     """
+    if not isinstance(camera, Camera):
+        if len(maps) != len(cameras := list(camera)) or not cameras:
+            raise ValueError(f"expected maps of {len(cameras)} cameras, got {len(maps)}")
+        pairs = zip(cameras, maps, strict=True)
+        return jnp.stack([accumulate_maps(gaussians, *pair, near=near) for pair in pairs]).sum(0)
     maps = require_finite("maps", jnp.asarray(maps, jnp.float32))
     return accumulate(make_view(gaussians, camera, near=near), maps)

@@ -36,7 +36,7 @@ def cast_votes(centers: Array, depths: Array, mask: Array) -> jax.Array:
     """
     height, width = mask.shape
     size = jnp.array([[width, height]], centers.dtype)
-    inside = jnp.all((centers >= 0) & (centers < size), axis=-1) & (depths > 0)
+    inside = jnp.all((centers >= 0) & (centers < size), axis=1) & (depths > 0)
     column, row = jnp.where(inside[:, None], centers, 0.0).astype(jnp.int32).T
     return jnp.where(inside, mask[row, column].astype(jnp.int32), ABSTAIN)
 

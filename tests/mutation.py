@@ -4,35 +4,48 @@
 
 Draws places of each module of `[tool.mutation]` in `pyproject.toml` at random, mutates each once
 with an operator of cosmic-ray, runs the tests named there on a copy of the repository, and prints
-the mutants that survive and a table. Annotations and decorators are not mutated: the tests do not
-see the former, and without `jax.jit` a function is only slower.
+the mutants that survive and a table. Not mutated are annotations and their imports, which the tests
+do not see, and decorators: without `jax.jit` a function is only slower. Code that Python cannot
+compile is no mutant.
 """
 
 import dataclasses
+import importlib
 import os
 import random
-import shlex
+import resource
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
-import time
 import tomllib
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 
 import cosmic_ray.plugins
+import pytest
 import tyro
 from cosmic_ray.ast import ast_nodes, get_ast
 from cosmic_ray.mutating import mutate_code
-from cosmic_ray.testing import run_tests
-from cosmic_ray.work_item import TestOutcome
 from parso.tree import NodeOrLeaf
 
 ROOT = Path(__file__).resolve().parents[1]
 LEFT_OUT = ("NoOp", "RemoveDecorator", "VariableInserter", "VariableReplacer")
 PATIENCE = 5
 """A mutant is killed if its tests take this many times as long as without mutation."""
+LIBRARIES = (
+    "hypothesis.extra.numpy",
+    "jax.numpy",
+    "optax",
+    "plyfile",
+    "scipy.spatial",
+    "skimage.util",
+)
+"""Libraries of the package and its tests, imported before the forks."""
+HANGS = 1800
+"""Seconds after which tests that wait for something are stopped."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -78,6 +91,8 @@ def main(options: Options) -> None:
     """Test samples of all modules and print a table."""
     table = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["mutation"]
     rows = []
+    for library in LIBRARIES:
+        importlib.import_module(library)
     with tempfile.TemporaryDirectory() as folder:
         copy = copied(Path(folder))
         os.environ |= {
@@ -116,7 +131,8 @@ def sample(paths: list[str], count: int, generator: random.Random) -> list[Mutan
 
 def mutants(path: str) -> Iterator[Mutant]:
     """All mutants of a file."""
-    nodes = list(ast_nodes(get_ast((ROOT / path).read_text(encoding="utf-8"))))
+    source = (ROOT / path).read_text(encoding="utf-8")
+    nodes = list(ast_nodes(get_ast(source)))
     for name in sorted(cosmic_ray.plugins.operator_names()):
         if name.partition("/")[2].startswith(LEFT_OUT):
             continue
@@ -125,14 +141,25 @@ def mutants(path: str) -> Iterator[Mutant]:
             (node, start) for node in nodes for start, _ in operator.mutation_positions(node)
         )
         for occurrence, (node, start) in enumerate(positions):
-            if not unseen(node):
-                yield Mutant(path, name, occurrence, start)
+            mutant = Mutant(path, name, occurrence, start)
+            if not unseen(node) and compiles(mutant.code(source)):
+                yield mutant
+
+
+def compiles(code: str) -> bool:
+    """Whether Python accepts the code, as the tests run it: a warning is an error."""
+    try:
+        with warnings.catch_warnings(action="error"):
+            compile(code, "mutant", "exec")
+    except SyntaxError:
+        return False
+    return True
 
 
 def unseen(node: NodeOrLeaf) -> bool:
-    """Whether a node belongs to a decorator, or to the annotation of anything."""
+    """Whether a node belongs to a decorator, to an annotation, or to the imports for them."""
     while parent := node.parent:
-        if parent.type == "decorator":
+        if parent.type == "decorator" or parent.get_code(False).startswith("if TYPE_CHECKING:"):
             return True
         index = parent.children.index(node)
         before = parent.children[index - 1] if index else None
@@ -144,22 +171,49 @@ def unseen(node: NodeOrLeaf) -> bool:
 
 def tested(copy: Path, tests: list[str], chosen: list[Mutant]) -> Iterator[bool]:
     """Whether the tests kill each of the mutants; prints those that survive."""
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-n", "0", "-p", "no:cacheprovider"]
-    run = shlex.join(["env", "-C", str(copy), *command, *tests])
-    start = time.monotonic()
-    outcome, output = run_tests(run, None)
-    if outcome != TestOutcome.SURVIVED:
-        raise SystemExit(f"The tests fail without a mutation:\n{output}")
-    limit = 20 + PATIENCE * (time.monotonic() - start)
-    print(f"{' '.join(tests)}: {time.monotonic() - start:.0f} s, {len(chosen)} mutants", flush=True)
+    passed, seconds = outcome(copy, tests, resource.RLIM_INFINITY)
+    if not passed:
+        raise SystemExit(f"Without a mutation, the tests fail: {' '.join(tests)}")
+    print(f"{' '.join(tests)}: {seconds:.0f} s, {len(chosen)} mutants", flush=True)
     for mutant in chosen:
         source = (ROOT / mutant.path).read_text(encoding="utf-8")
         (copy / mutant.path).write_text(mutant.code(source), encoding="utf-8")
-        outcome, _ = run_tests(run, limit)
+        alive, _ = outcome(copy, tests, 20 + round(PATIENCE * seconds))
         (copy / mutant.path).write_text(source, encoding="utf-8")
-        if outcome == TestOutcome.SURVIVED:
+        if alive:
             print("  alive:", mutant.described(source), flush=True)
-        yield outcome != TestOutcome.SURVIVED
+        yield not alive
+
+
+def outcome(copy: Path, tests: list[str], limit: int) -> tuple[bool, float]:
+    """Whether the tests pass in the copy within the limit, and their time, in seconds of CPU.
+
+    They run in a fork, which spares the import of the libraries; nothing of the package is
+    imported before.
+    """
+    sys.stdout.flush()
+    child = os.fork()
+    if not child:
+        try:
+            os._exit(pytest_in(copy, tests, limit))
+        finally:
+            os._exit(1)
+    _, status, usage = os.wait4(child, 0)
+    return status == 0, usage.ru_utime + usage.ru_stime
+
+
+def pytest_in(copy: Path, tests: list[str], limit: int) -> int:
+    """Exit code of the tests in the copy, without output."""
+    resource.setrlimit(resource.RLIMIT_CPU, (limit, limit))
+    signal.alarm(HANGS)
+    with Path(os.devnull).open("w") as nowhere:
+        os.dup2(nowhere.fileno(), 1)
+        os.dup2(nowhere.fileno(), 2)
+    os.chdir(copy)
+    sys.path.insert(0, str(copy))
+    # Libraries that are imported here and bring plugins of pytest cannot be rewritten any more.
+    options = ["-x", "-q", "-n", "0", "-p", "no:cacheprovider"]
+    return pytest.main([*options, "-W", "ignore::pytest.PytestAssertRewriteWarning", *tests])
 
 
 if __name__ == "__main__":

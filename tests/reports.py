@@ -11,13 +11,13 @@ import numpy as np
 from strategies import camera, random_scene
 
 from gsc_jax.cli.outputs import write_report
-from gsc_jax.cli.pictures import jpeg_path, overlay, write_jpeg
+from gsc_jax.cli.pictures import layer_path, overlay
 from gsc_jax.cli.report.wording import Located
 from gsc_jax.estimators.protocol import Reliability
 from gsc_jax.estimators.robust.early_stopping import EarlyStopping
 from gsc_jax.estimators.robust.estimator import RobustEstimator
 from gsc_jax.forensics.traces import Trace
-from gsc_jax.io.masks import image_path, write_mask, write_probability
+from gsc_jax.io.masks import image_path, write_image, write_mask, write_probability
 from gsc_jax.io.ply import read_ply, save_ply
 from gsc_jax.locate import Result
 from gsc_jax.scene import Gaussians
@@ -106,6 +106,7 @@ def run(
         seconds=12.34,
         warnings=warnings,
         visible_share=float(np.mean([mask.mean() for mask in masks.values()])),
+        inputs={"scene.ply": {"bytes": 12345, "sha256": "5a" * 32}},
     )
 
 
@@ -118,8 +119,8 @@ def write(folder: Path, located: Located, *, pictures: bool = True) -> Page:
             write_probability(image_path(folder / "detector", name), result.probabilities[name])
         if pictures:
             render = np.full((*mask.shape, 3), GREEN, np.float32)
-            write_jpeg(jpeg_path(folder / "render", name), render)
-            write_jpeg(jpeg_path(folder / "overlay", name), overlay(render, mask))
+            write_image(layer_path(folder, "render", name), render)
+            write_image(layer_path(folder, "overlay", name), overlay(render, mask))
     write_report(folder, {"scene": Path("some <i>scene</i>.ply"), "views": None}, located)
     return Page((folder / "report.html").read_text(encoding="utf-8"))
 

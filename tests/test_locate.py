@@ -24,7 +24,6 @@ from gsc_jax.detectors.folder import FolderDetector
 from gsc_jax.estimators import Method, configured
 from gsc_jax.estimators.protocol import ALL_FLAGGED, NONE_FLAGGED
 from gsc_jax.evidence.detector import as_detector, fit_to_view
-from gsc_jax.locate import _unconfirmed
 from gsc_jax.loop import LoopConfig
 from gsc_jax.scene import Camera
 
@@ -156,16 +155,6 @@ def test_a_prior_is_used_or_a_warning_reports_that_it_is_not(method: Method):
     result = locate(SCENE, cameras(), truths(), method=method, prior=evidence)
     assert any("not used" in warning for warning in result.warnings) == (not used)
     assert (result.prior is evidence) == used
-
-
-@pytest.mark.parametrize(("found", "warned"), [(0, False), (1, True), (2, False), (20, False)])
-def test_labels_much_smaller_than_the_masks_are_a_warning(found, warned):
-    columns = np.arange(40)[None].repeat(10, axis=0)
-    sentences = _unconfirmed(
-        {"view": columns < 20}, {"view": columns < found, "other": columns < 40}
-    )
-    assert bool(sentences) == warned
-    assert all("its masks disagree" in sentence for sentence in sentences)
 
 
 WRONG = {

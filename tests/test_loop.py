@@ -13,7 +13,7 @@ from gsc_jax.detectors.folder import FolderDetector
 from gsc_jax.estimators.gschecker import ATTRIBUTES, OFFICIAL, PAPER
 from gsc_jax.evidence.lifting import Evidence, view_evidence
 from gsc_jax.locate import locate
-from gsc_jax.loop import MAX_WEIGHT, LoopConfig, fit, fit_rendered, init, step, view_order
+from gsc_jax.loop import MAX_WEIGHT, LoopConfig, fit, fit_rendered, init, resolved, step, view_order
 from gsc_jax.render.tiles import make_view
 
 ATTRIBUTES_OF_SIX = np.array([[1.0, 1.0, 0.9, 0.1, 0.0, 0.0]], np.float32)
@@ -78,7 +78,23 @@ def test_empty_groups_give_no_nan(r):
 
 def test_the_defaults_are_those_of_the_paper():
     assert (PAPER.epochs, PAPER.shuffle, PAPER.threshold) == (5, True, 0.1)
-    assert (PAPER.loop.lambda1, PAPER.loop.lambda2) == (1, 10)
+    assert PAPER.seed == 0
+    loop = LoopConfig()
+    assert PAPER.loop == loop
+    assert (loop.lambda1, loop.lambda2, loop.beta, loop.gamma) == (1, 10, 1, 10)
+    assert (loop.learning_rate, loop.per_feature) == (1, False)
+
+
+@pytest.mark.parametrize(("beta", "gamma", "rises"), [(2, 10, True), (3, 10, False), (3, 13, True)])
+def test_the_losses_are_weighted_by_beta_and_gamma(beta, gamma, rises):
+    """The 2D loss has the slope 2 in the attribute that the 3D loss raises with the slope 1/2."""
+    config = LoopConfig(contrastive_start=0, beta=beta, gamma=gamma)
+    state, _ = step(init(R), lambda r: 2 * r[2], ATTRIBUTES_OF_SIX, config=config)
+    assert (state.r[2] > R[2]) == rises
+
+
+def test_half_of_the_iterations_are_rounded_down():
+    assert [resolved(LoopConfig(), n).contrastive_start for n in (0, 1, 7, 10)] == [0, 0, 3, 5]
 
 
 def test_the_order_of_views_is_reproducible_and_complete():
@@ -148,6 +164,14 @@ def test_both_paths_agree_on_real_scenes(name, config):
 def test_weights_out_of_range_are_errors(name, value):
     with pytest.raises(ValueError, match=name):
         LoopConfig(**{name: value})
+
+
+def test_the_largest_numbers_are_valid_and_larger_ones_are_errors():
+    LoopConfig(lambda1=1e6, contrastive_start=2**31 - 1)
+    with pytest.raises(ValueError, match="lambda1"):
+        LoopConfig(lambda1=float(np.nextafter(1e6, np.inf)))
+    with pytest.raises(ValueError, match="contrastive_start"):
+        LoopConfig(contrastive_start=2**31)
 
 
 def test_the_largest_weights_give_finite_attributes():

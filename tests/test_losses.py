@@ -162,3 +162,54 @@ def test_standardised_attributes_have_median_0_and_mad_1_and_are_0_where_not_usa
     np.testing.assert_allclose(np.median(np.abs(varying), axis=1) * 1.4826, 1, rtol=1e-4)
     for row, of_row in ((6, scene.logit_opacities), (7, scene.log_scales[:, 0])):
         assert np.array_equal(np.argsort(of_scene[row, 1:]), np.argsort(of_row[1:]))
+
+
+def test_an_attribute_near_zero_is_compared_in_its_own_unit():
+    r = jnp.array([1.0, 0.05, 0.0, -0.5, -1.0])
+    found = partition(r)
+    assert np.flatnonzero(found.middle).tolist() == [1]
+    assert np.flatnonzero(found.low).tolist() == [4]
+
+
+def test_a_group_of_one_has_its_own_attributes_as_its_mean():
+    attributes = jnp.array([[4.0, 4.0, 1.9, 0.0, 0.0, 0.0]])
+    split = groups([0], [2], [5])
+    assert direction(attributes, split)[2] == -1, "1.9 is nearer to 0 than to 4"
+    assert loss_3d(jnp.arange(6.0), attributes, split) == 2
+
+
+def test_the_3d_loss_takes_one_sign_per_gaussian_by_default():
+    attributes = jnp.array([[1.0, 0], [1, 0], [0.9, 5.0], [0.1, 0], [0, 0], [0, 0.5]]).T
+    split, r = groups([0, 1], [2], [4, 5]), jnp.ones(6)
+    assert loss_3d(r, attributes, split) == 1
+    assert loss_3d(r, attributes, split, per_feature=True) == 0
+
+
+def test_the_released_attributes_hold_the_first_colour_and_0_where_not_finite():
+    scene = with_row(random_scene(5, degree=2), "means", np.nan)
+    for attributes in (official_attributes(scene), paper_attributes(scene)):
+        assert attributes[:3, 0].tolist() == [0, 0, 0]
+        np.testing.assert_array_equal(attributes[:3, 1:], scene.means[1:].T)
+        np.testing.assert_array_equal(attributes[3:6], scene.sh[:, 0].T)
+
+
+def test_standardised_attributes_clip_what_float32_cannot_tell_apart():
+    """Logits beyond 20, and scales below exp(-20)."""
+    scene = random_scene(50)
+    for field, one, same, other in (
+        ("logit_opacities", 20, np.inf, 19.5),
+        ("logit_opacities", 20, 20.5, 19.5),
+        ("logit_opacities", -20, -np.inf, -19.5),
+        ("log_scales", -20, -np.inf, -19.5),
+        ("log_scales", -20, -20.5, -19.5),
+    ):
+        expected, clipped, within = (
+            standardised_attributes(with_row(scene, field, value)) for value in (one, same, other)
+        )
+        np.testing.assert_array_equal(clipped, expected)
+        assert not np.array_equal(within, expected)
+    assert np.array_equal(
+        np.argsort(standardised_attributes(scene)[3:6]), np.argsort(scene.sh[:, 0].T)
+    )
+    w = np.abs(np.asarray(scene.rotations)[:, 0])
+    assert np.array_equal(np.argsort(standardised_attributes(scene)[10]), np.argsort(w))

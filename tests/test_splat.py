@@ -247,3 +247,81 @@ def test_features_and_maps_of_another_shape_are_refused(shape):
         composite(make_view(gaussians, VIEW), values)
     with pytest.raises(ValueError, match=r"\(15, 17, D\), got"):
         gsc_jax.accumulate(gaussians, VIEW, values)
+
+
+PAIR = [
+    VIEW,
+    dataclasses.replace(VIEW, viewmat=np.diag([-1, 1, 1, 1]).astype(np.float32), name="b"),
+]
+
+
+def test_several_cameras_of_one_size_are_stacked_and_accumulate_stays_the_adjoint():
+    gaussians, features = random_scene(20), jnp.ones((20, 2))
+    together = [
+        gsc_jax.render(gaussians, PAIR),
+        gsc_jax.render_features(gaussians, PAIR, features),
+        gsc_jax.render_depth(gaussians, PAIR),
+    ]
+    for index, one in enumerate(PAIR):
+        alone = [
+            gsc_jax.render(gaussians, one),
+            gsc_jax.render_features(gaussians, one, features),
+            gsc_jax.render_depth(gaussians, one),
+        ]
+        jax.tree.map(
+            lambda all_, own, i=index: np.testing.assert_array_equal(all_[i], own), together, alone
+        )
+    lifted = gsc_jax.accumulate(gaussians, PAIR, np.stack([MAPS, MAPS]))
+    product = np.vdot(together[1][0], np.stack([MAPS, MAPS]))
+    assert np.vdot(features, lifted) == pytest.approx(product, rel=1e-4)
+
+
+def test_cameras_that_cannot_be_stacked_are_refused():
+    gaussians = random_scene(5)
+    with pytest.raises(ValueError, match="one image size to stack, got images of 17 x 15 and 3 x"):
+        gsc_jax.render(gaussians, [VIEW, camera(3, 3)])
+    with pytest.raises(ValueError, match="to stack, got none"):
+        gsc_jax.render_depth(gaussians, [])
+    with pytest.raises(ValueError, match="expected maps of 2 cameras, got 1"):
+        gsc_jax.accumulate(gaussians, PAIR, [MAPS])
+
+
+def test_the_expected_depth_is_the_mean_over_the_weights():
+    two = blobs([[0, 0, 2], [0, 0, 4]], opacity=0.5)
+    depth, alpha = gsc_jax.render_depth(two, camera(1, 1))
+    assert alpha[0, 0] == pytest.approx(0.75, rel=1e-3)
+    assert depth[0, 0] == pytest.approx((0.5 * 2 + 0.25 * 4) / 0.75, rel=1e-3)
+    assert gsc_jax.render_depth(blobs([0, 0, -1]), camera(1, 1))[0].tolist() == [[0]]
+    slope = jax.grad(lambda g: gsc_jax.render_depth(g, camera(1, 1))[0].sum())(two)
+    assert slope.means[0, 2] > 0
+
+
+def test_a_scene_from_outside_is_a_constant_under_jit():
+    gaussians, features = random_scene(20), jnp.linspace(0, 1, 40).reshape(20, 2)
+
+    def loss(features):
+        return (gsc_jax.render_features(gaussians, VIEW, features)[0] ** 2).sum()
+
+    compiled = jax.jit(jax.grad(loss))(features)
+    np.testing.assert_allclose(compiled, jax.grad(loss)(features), rtol=1e-4, atol=1e-5)
+    backgrounds = jnp.array([[0.0, 0, 0], [1, 0, 0]])
+    black, red = jax.vmap(lambda b: gsc_jax.render(gaussians, VIEW, background=b)[0])(backgrounds)
+    assert (red[..., 0] > black[..., 0]).any()
+    with pytest.raises(TypeError, match="not known under"):
+        jax.jit(lambda near: gsc_jax.render(gaussians, VIEW, near=near))(0.2)
+
+
+def test_the_gradient_of_accumulate_is_composite_and_that_of_its_adjoint_by_the_scene():
+    gaussians, maps = random_scene(20), jnp.asarray(MAPS)
+    along = jnp.linspace(-1, 1, 40).reshape(20, 2)
+    by_maps = jax.grad(lambda m: jnp.vdot(along, gsc_jax.accumulate(gaussians, VIEW, m)))(maps)
+    image, _ = gsc_jax.render_features(gaussians, VIEW, along)
+    np.testing.assert_allclose(by_maps, image, atol=1e-5)
+    lifted = jax.grad(lambda g: jnp.vdot(along, gsc_jax.accumulate(g, VIEW, maps)))(gaussians)
+    rendered = jax.grad(lambda g: jnp.vdot(maps, gsc_jax.render_features(g, VIEW, along)[0]))(
+        gaussians
+    )
+    assert float(jnp.abs(lifted.means).max()) > 0
+    jax.tree.map(
+        lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-4), lifted, rendered
+    )

@@ -2,8 +2,7 @@
 
 The metrics are those of IMDL-BenCo, which the paper's tables use: P = TP / (TP + FP + e), R = TP /
 (TP + FN + e), F1 = 2 P R / (P + R + e) and IoU = TP / (TP + FP + FN + e) with e = 1e-8, in each
-view; then the mean over the tampered views. Authentic views are measured by the flagged area.
-Labels of Gaussians are counted likewise, weighted by opacity.
+view; then the mean over the tampered views. Labels of Gaussians are counted likewise.
 """
 
 import dataclasses
@@ -20,7 +19,7 @@ EPSILON = 1e-8
 
 
 class Confusion(NamedTuple):
-    """Counts, or summed weights, of the four outcomes."""
+    """Counts of the four outcomes."""
 
     tp: float
     fp: float
@@ -64,20 +63,17 @@ class Scores:
     per_view: dict[str, np.ndarray]
 
 
-def confusion(prediction: Array, truth: Array, *, weights: Array | None = None) -> Confusion:
-    """Count the four outcomes, each entry with its weight, such as the opacity of a Gaussian.
+def confusion(prediction: Array, truth: Array) -> Confusion:
+    """Count the four outcomes.
 
-    Prediction and truth are bool, or numbers that count as true where > 0.5; different shapes of
-    the three raise ValueError.
+    Prediction and truth are bool, or numbers that count as true where > 0.5; different shapes raise
+    ValueError.
     """
     flagged, tampered = _binary(prediction), _binary(truth)
     if flagged.shape != tampered.shape:
         raise ValueError(f"prediction has shape {flagged.shape}, but truth {tampered.shape}")
-    counts = np.ones(flagged.shape) if weights is None else np.asarray(weights, np.float64)
-    if counts.shape != flagged.shape:
-        raise ValueError(f"weights have shape {counts.shape}, expected {flagged.shape}")
     outcomes = flagged & tampered, flagged & ~tampered, ~flagged & tampered, ~flagged & ~tampered
-    return Confusion(*(float(counts[outcome].sum()) for outcome in outcomes))
+    return Confusion(*(float(np.count_nonzero(outcome)) for outcome in outcomes))
 
 
 def mean_over_tampered_views(predictions: Sequence[Array], truths: Sequence[Array]) -> Scores:
@@ -93,11 +89,6 @@ def mean_over_tampered_views(predictions: Sequence[Array], truths: Sequence[Arra
     return Scores(**means, views=views, per_view=per_view)
 
 
-def false_positive_area(predictions: Sequence[Array]) -> np.ndarray:
-    """Flagged share of the pixels of authentic views with masks (H, W), shape (V,)."""
-    return np.array([_binary(prediction).mean() for prediction in predictions], np.float64)
-
-
 def auc(scores: Array, truth: Array) -> float:
     """Probability that a tampered entry scores above an authentic one, ties counted half.
 
@@ -111,11 +102,10 @@ def auc(scores: Array, truth: Array) -> float:
         raise ValueError(f"{scores.size} scores, but {tampered.size} truths")
     if np.isnan(scores).any():
         raise ValueError(f"{np.isnan(scores).sum()} of {scores.size} scores are NaN, expected none")
-    pairs = int(tampered.sum()) * int((~tampered).sum())
-    if not pairs:
-        return float("nan")
     count = int(tampered.sum())
-    return float((rankdata(scores)[tampered].sum() - count * (count + 1) / 2) / pairs)
+    pairs = count * (tampered.size - count)
+    wins = rankdata(scores)[tampered].sum() - count * (count + 1) / 2
+    return float(wins / pairs) if pairs else float("nan")
 
 
 def truth_mask(

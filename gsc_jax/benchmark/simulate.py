@@ -16,6 +16,7 @@ from scipy.spatial import KDTree
 from scipy.special import expit
 
 from gsc_jax.scene import Gaussians
+from gsc_jax.scene.errors import check_ranges
 
 SHARES = "misses", "decoy", "inverted"
 
@@ -43,12 +44,9 @@ class Failures:
     softness: float = 1.5
 
     def __post_init__(self) -> None:
-        for name in SHARES:
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"{name} is a share of the views, got {getattr(self, name)}")
-        for name in ("boundary", "blobs", "blob_size", "softness"):
-            if getattr(self, name) < 0:
-                raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
+        names = [field.name for field in dataclasses.fields(self)]
+        shares = dict.fromkeys(SHARES, (0.0, 1.0))
+        check_ranges(self, dict.fromkeys(names, (0.0, np.inf)) | shares)
 
 
 REGIMES: Mapping[str, Failures] = {

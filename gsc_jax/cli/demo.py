@@ -11,6 +11,7 @@ import sys
 import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple, get_args
 
 import numpy as np
 
@@ -32,18 +33,11 @@ from gsc_jax.scene import Camera, InputError
 from gsc_jax.splat import render
 
 REGIME = "mixture"
-HELDOUT = "heldout_cameras.json"
-"""The first file of the input that is written."""
+HELDOUT = "heldout_cameras.json"  # the first file of the input that is written
 ATTRIBUTES_ONLY = "native"
-RUNS: dict[str, Method] = {
-    ATTRIBUTES_ONLY: "robust",
-    "robust": "robust",
-    "official": "official",
-    "paper": "paper",
-}
+RUNS: dict[str, Method] = {ATTRIBUTES_ONLY: "robust", **{name: name for name in get_args(Method)}}
 """Runs by folder, each with its method; the first without masks."""
 PICTURE_ROWS = 4
-TEXT_WIDTH = 88
 EXPLANATION = """\
 robust estimates the reliability of every mask and uses the attributes of the Gaussians;
 native uses the attributes alone, with a classifier that was trained on this room and such a
@@ -55,8 +49,7 @@ Views = dict[str, np.ndarray]
 """An image or mask by camera name."""
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Case:
+class Case(NamedTuple):
     """A scene, and by camera, held-out cameras included, the truth and the detector's masks."""
 
     made: MadeScene
@@ -71,8 +64,8 @@ class Case:
 
 def run_demo(
     options: Demo, *, made: MadeScene | None = None, monitor: Monitor | None = None
-) -> list[str]:
-    """Generate the scene, by default `tampered_room`, run every method; return lines to print."""
+) -> tuple[list[str], list[str]]:
+    """Generate the scene, by default `tampered_room`, run all methods; lines and warnings."""
     _refuse_foreign(options.out)
     monitor = monitor or Monitor()
     made = made or tampered_room(seed=options.seed)
@@ -99,7 +92,7 @@ def run_demo(
         *(f"report   {options.out / name / 'report.html'}" for name in RUNS),
         f"again    {sys.argv[0]} locate {given / 'scene.ply'} --cameras {given / 'cameras.json'} "
         f"--masks {given / 'masks'} --out found",
-    ]
+    ], []
 
 
 def _refuse_foreign(out: Path) -> None:
@@ -111,19 +104,14 @@ def _refuse_foreign(out: Path) -> None:
 
 def _simulated(made: MadeScene, decoy: np.ndarray, seed: int, monitor: Monitor) -> Case:
     """Render the truth, and simulate the detector on it; it may flag the decoy Gaussians, (N,)."""
-    cameras = [*made.cameras, *made.heldout_cameras]
-    truth, decoys = [], []
+    cameras, truth, decoys = [*made.cameras, *made.heldout_cameras], [], []
     for done, camera in enumerate(cameras, start=1):
         truth.append(truth_mask(made.gaussians, camera, made.labels))
         decoys.append(truth_mask(made.gaussians, camera, decoy))
         monitor.progress("make", done, len(cameras))
     maps = simulate(np.stack(truth), np.stack(decoys), seed=seed, failures=REGIMES[REGIME])
     names = [camera.name for camera in cameras]
-    return Case(
-        made=made,
-        truth=dict(zip(names, truth, strict=True)),
-        detector=dict(zip(names, maps, strict=True)),
-    )
+    return Case(made, *(dict(zip(names, views, strict=True)) for views in (truth, maps)))
 
 
 def _write_input(folder: Path, case: Case) -> None:
@@ -174,17 +162,15 @@ def _heldout_masks(made: MadeScene, result: Result) -> Views:
 
 def _introduction(case: Case) -> list[str]:
     made, failures = case.made, REGIMES[REGIME]
-    camera = made.cameras[0]
     scores = case.scores(case.detector, made.cameras)
     return textwrap.wrap(
         f"A generated room of {len(made.labels):,} Gaussians, {made.labels.sum():,} of which are a "
-        f"vase pasted onto the table; {len(made.cameras)} views of {camera.width} x "
-        f"{camera.height}, and {len(made.heldout_cameras)} held out for the scores. The simulated "
-        f"detector ({REGIME}) misses the vase in {failures.misses:.0%} of the views, flags an "
-        f"authentic object in {failures.decoy:.0%}, inverts {failures.inverted:.0%}, and adds "
-        f"blobs and ragged edges: its masks have a mean F1 of {scores.f1:.2f}, IoU "
-        f"{scores.iou:.2f}.",
-        TEXT_WIDTH,
+        f"vase pasted onto the table; {len(made.cameras)} views, and {len(made.heldout_cameras)} "
+        f"held out for the scores. The simulated detector ({REGIME}) misses the vase in "
+        f"{failures.misses:.0%} of the views, flags an authentic object in {failures.decoy:.0%}, "
+        f"inverts {failures.inverted:.0%}, and adds blobs and ragged edges: its masks have a mean "
+        f"F1 of {scores.f1:.2f}, IoU {scores.iou:.2f}.",
+        width=88,
     )
 
 
@@ -195,13 +181,11 @@ def _score_table(
     titles = ("found", "precision", "recall", "F1", "views: F1", "IoU")
     lines = [f"{'Gaussians':20}" + "".join(f"{title:>11}" for title in titles)]
     for method, masks in {"detector alone": case.detector, **found}.items():
-        cells = [""] * 4
+        means, cells = case.scores(masks, case.made.heldout_cameras), [""] * 4
         if method in results:
-            labels = results[method].labels
-            score = confusion(labels, case.made.labels)
+            score = confusion(labels := results[method].labels, case.made.labels)
             measures = (score.precision, score.recall, score.f1)
             cells = [f"{labels.sum():,}", *(f"{measure:.3f}" for measure in measures)]
-        means = case.scores(masks, case.made.heldout_cameras)
         cells += [f"{means.f1:.3f}", f"{means.iou:.3f}"]
         lines.append(f"{method:20}" + "".join(f"{cell:>11}" for cell in cells))
     return lines
@@ -218,8 +202,7 @@ def _probability_table(results: Mapping[str, Result], authentic: Mapping[str, Re
 
 
 def _write_picture(path: Path, case: Case, found: Mapping[str, Views]) -> None:
-    cameras = evenly_spaced(case.made.heldout_cameras, PICTURE_ROWS)
-    rows = []
+    cameras, rows = evenly_spaced(case.made.heldout_cameras, PICTURE_ROWS), []
     for camera in cameras:
         image = np.asarray(render(case.made.gaussians, camera)[0])
         masks = [case.truth, *found.values()]

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from gsc_jax.benchmark.metrics import auc, confusion, false_positive_area, mean_over_tampered_views
+from gsc_jax.benchmark.metrics import auc, confusion, mean_over_tampered_views
 from gsc_jax.cli.options import Evaluate
 from gsc_jax.cli.outputs import write_json
 from gsc_jax.cli.ownership import refuse_foreign_file
@@ -42,8 +42,7 @@ def run_evaluate(options: Evaluate) -> tuple[list[str], list[str]]:
     limit = memory_limit(options.memory)
     results = read_results(options.folder, max_bytes=limit)
     report: dict[str, Any] = {"folder": options.folder, "truth": options.truth}
-    warnings: list[str] = []
-    lines: list[str] = []
+    lines, warnings = list[str](), list[str]()
     if labels is not None:
         report["gaussians"] = _by_gaussian(results, labels)
         lines += [*_gaussian_table(report["gaussians"]), ""]
@@ -153,16 +152,15 @@ def _scores(masks: Masks, truth: Masks) -> dict[str, Any]:
     names = list(masks)
     scores = mean_over_tampered_views(list(masks.values()), [truth[name] for name in names])
     tampered = [names[view] for view in scores.views]
-    authentic = [name for name in names if name not in tampered]
-    areas = false_positive_area([masks[name] for name in authentic])
+    areas = {name: float(masks[name].mean()) for name in names if name not in tampered}
     return {
         **{name: getattr(scores, name) for name in MEASURES},
-        "false_positive_area": float(areas.mean()) if authentic else None,
+        "false_positive_area": float(np.mean(list(areas.values()))) if areas else None,
         "per_view": {
             name: {measure: float(scores.per_view[measure][i]) for measure in MEASURES}
             for i, name in enumerate(tampered)
         },
-        "per_authentic_view": dict(zip(authentic, areas.tolist(), strict=True)),
+        "per_authentic_view": areas,
     }
 
 
@@ -196,9 +194,5 @@ def _view_table(views: Mapping[str, Any]) -> list[str]:
 def _row(name: str, cells: Sequence[str | float | None]) -> str:
     """A line of a table; a long name is cut at its beginning."""
     name = name if len(name) <= NAME_WIDTH else f"...{name[3 - NAME_WIDTH :]}"
-    texts = ["-" if cell is None else _text(cell) for cell in cells]
-    return f"{name:{NAME_WIDTH}}" + "".join(f"{text:>10}" for text in texts)
-
-
-def _text(cell: str | float) -> str:
-    return cell if isinstance(cell, str) else f"{cell:.3f}".replace("nan", "-")
+    cells = [f"{cell:.3f}" if isinstance(cell, float) else cell or "-" for cell in cells]
+    return f"{name:{NAME_WIDTH}}" + "".join(f"{cell:>10}" for cell in cells).replace("nan", "  -")

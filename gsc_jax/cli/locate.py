@@ -23,14 +23,15 @@ from gsc_jax.cli.detector_choice import (
 )
 from gsc_jax.cli.options import Locate
 from gsc_jax.cli.outputs import planned_outputs, versions, write_report, write_results
-from gsc_jax.cli.ownership import refuse_blocked, refuse_foreign, refuse_overlap
+from gsc_jax.cli.ownership import refuse_foreign, refuse_overlap
 from gsc_jax.cli.report.wording import Located
 from gsc_jax.cli.scene_input import check_numbers, choose_cameras, naming, read_scene
 from gsc_jax.cli.staging import BY_CAMERA, FILES, replacing, views_of, writing_to
 from gsc_jax.estimators.protocol import Estimator, Prior
 from gsc_jax.evidence.detector import Detector
+from gsc_jax.evidence.masks import RENDER
 from gsc_jax.evidence.monitor import Monitor
-from gsc_jax.evidence.storage import ArrayStore
+from gsc_jax.evidence.storage import ArrayStore, ByView
 from gsc_jax.io.cameras import camera_files
 from gsc_jax.io.files import content_bytes, content_digest, memory_limit
 from gsc_jax.io.ply import PlyScene
@@ -76,7 +77,7 @@ def read_inputs(options: Locate, *, monitor: Monitor) -> Inputs:
     files += camera_files(options.cameras) if options.cameras else []
     files = [path for path in files if path is not None]
     refuse_overlap(options.out, files, written=(*FILES, *BY_CAMERA))
-    scene, cameras = read_scene(options, warnings, monitor)
+    scene, cameras = read_scene(options, warnings, monitor, preview=detector is None)
     # At once: a file that changes during the run does not match its digest.
     digests = {str(p): {"bytes": content_bytes(p), "sha256": content_digest(p)} for p in files}
     # Once, since NumPy reads the arrays of JAX without copying, but not the other way round.
@@ -84,8 +85,7 @@ def read_inputs(options: Locate, *, monitor: Monitor) -> Inputs:
     if options.views:
         usable = detector.select(cameras) if detector else cameras
         cameras = choose_cameras(options, usable, warnings)
-    refuse_blocked(options.out, outputs := planned_outputs(cameras))
-    refuse_foreign(options.out, outputs, report="result.json")
+    refuse_foreign(options.out, planned_outputs(cameras), report="result.json")
     with naming(options.cameras or options.scene):
         check_views(scene.gaussians, cameras, near=options.near)  # `locate` repeats its warnings
     return Inputs(
@@ -125,7 +125,8 @@ def locate_and_write(inputs: Inputs, *, prior: Prior | bool, monitor: Monitor) -
             store=store,
         )
         with monitor.stage("write"):
-            write_results(folder, scene, cameras, result, monitor=monitor)
+            renders = ByView(tuple(result.masks), lambda name: store.get(RENDER, name))
+            write_results(folder, scene, cameras, result, renders, monitor=monitor)
         located = Located(
             scene=scene,
             cameras=cameras,

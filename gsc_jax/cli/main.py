@@ -35,6 +35,7 @@ from gsc_jax.cli.report.wording import summary
 from gsc_jax.cli.scan import Scan, run_scan
 from gsc_jax.cli.tamper import run_tamper
 from gsc_jax.cli.verify import Verify, run_verify
+from gsc_jax.cli.viewer.server import run_view
 from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.io.validation import printable
 from gsc_jax.scene import InputError
@@ -160,7 +161,7 @@ def _run(command: Command) -> None:
     own: list[str] = []
     raised: list[warnings.WarningMessage] = []
     try:
-        with warnings.catch_warnings(record=True) as raised, Bars() as bars:
+        with warnings.catch_warnings(record=True) as raised, contextlib.closing(Bars()) as bars:
             lines, own = _answer(command, Monitor(progress=bars))
         print(*map(printable, lines), sep="\n", flush=True)
     finally:
@@ -177,27 +178,17 @@ def _run(command: Command) -> None:
 
 def _answer(command: Command, monitor: Monitor) -> Answer:
     match command:
-        case Demo():
-            return run_demo(command, monitor=monitor), []
-        case Render():
-            return run_render(command, monitor=monitor)
-        case Tamper():
-            return run_tamper(command, monitor=monitor)
         case Evaluate():
             return run_evaluate(command)
         case Verify():
             return run_verify(command)
         case View():
-            from gsc_jax.cli.viewer.server import run_view
-
             return run_view(command, monitor=monitor, say=_say)
-        case Scan():
-            return run_scan(command, monitor=monitor)
-        case Locate(dry_run=True):
-            return dry_run(command, monitor=monitor)
-        case Locate():
+        case Locate() if not isinstance(command, Scan) and not command.dry_run:
             located = run_locate(command, monitor=monitor)
             return summary(located, command.out), located.warnings
+    runs = {Demo: run_demo, Render: run_render, Tamper: run_tamper, Scan: run_scan, Locate: dry_run}
+    return runs[type(command)](command, monitor=monitor)
 
 
 def _sentences(raised: Sequence[warnings.WarningMessage]) -> Iterator[str]:

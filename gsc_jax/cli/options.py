@@ -40,13 +40,13 @@ class SceneOptions:
     """Options of all commands that read a scene; subclasses inherit the help texts.
 
     Attributes:
-        scene: Scene: a 3DGS .ply of any exporter; with the extra `formats` also compressed.ply, spz
-            and sog.
+        scene: Scene: a 3DGS .ply of any exporter, .splat or .glb; with the extra `formats` also
+            compressed.ply, spz and sog.
         out: Folder for the results, created if missing.
         cameras: cameras.json, transforms.json, a COLMAP model, or a folder that holds one of
             them. Without it, cameras are placed on an orbit around the scene.
         views: Use only this many cameras, evenly spaced in their order. On an orbit: the number of
-            cameras, by default 24.
+            cameras, by default 24, or 12 without a 2D detector.
         scale: Image size relative to the size in the camera file.
         near: Near plane in world units; anything closer to a camera is not rendered.
         seed: Seed of everything random.

@@ -11,7 +11,7 @@ import json
 import math
 import os
 import platform
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -19,21 +19,20 @@ from typing import Any
 import jax
 import numpy as np
 
-from gsc_jax.cli.pictures import CANDIDATE, TINT, contact_sheet, jpeg_path, overlay, write_jpeg
+from gsc_jax.cli.pictures import CANDIDATE, TINT, contact_sheet, layer_path, overlay
 from gsc_jax.cli.report.page import report_page
 from gsc_jax.cli.report.wording import Located, are_candidates, found_traces
 from gsc_jax.cli.scene_input import evenly_spaced
-from gsc_jax.cli.staging import FILES, files_below
+from gsc_jax.cli.staging import BY_CAMERA, FILES, files_below
 from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.io.cameras import save_cameras
 from gsc_jax.io.files import atomic
 from gsc_jax.io.highlight import save_highlight
-from gsc_jax.io.masks import image_path, write_mask, write_probability
+from gsc_jax.io.masks import write_image, write_mask, write_probability
 from gsc_jax.io.ply import PlyScene, save_tampered
 from gsc_jax.locate import Result
-from gsc_jax.scene import Camera, Gaussians
+from gsc_jax.scene import Camera
 from gsc_jax.scene.parallel import bounded_map, view_threads
-from gsc_jax.splat import render
 
 PACKAGES = ("gsc_jax", "numpy", "jax", "jaxlib", "optax")
 OVERVIEW_RENDERS, OVERVIEW_ROWS = 8, 4
@@ -46,15 +45,16 @@ def write_results(
     scene: PlyScene,
     cameras: Sequence[Camera],
     result: Result,
+    renders: Mapping[str, np.ndarray],
     *,
     monitor: Monitor | None = None,
 ) -> None:
-    """Write all results except report.html and result.json."""
+    """Write all results, with renders in 8 bit, except report.html and result.json."""
     monitor = monitor or Monitor()
     shares = {camera.name: result.masks[camera.name].mean() for camera in cameras}
     most = sorted(cameras, key=lambda camera: -shares[camera.name])
-    shown = most if any(shares.values()) else evenly_spaced(cameras, OVERVIEW_RENDERS)
-    kept = {camera.name for camera in shown[:OVERVIEW_RENDERS]}
+    chosen = most if any(shares.values()) else evenly_spaced(cameras, OVERVIEW_RENDERS)
+    shown = [camera.name for camera in chosen[:OVERVIEW_RENDERS]]
     monitor.progress("write", 0, len(cameras))
     save_cameras(folder / "views.json", cameras)
     save_tampered(folder / "tamper.ply", scene, result.tamper)
@@ -63,33 +63,19 @@ def write_results(
     save_array(folder / "labels.npy", scene.expand(result.labels))
     save_array(folder / "tamper.npy", scene.expand(result.tamper))
     monitor.progress("write", 0, len(cameras))  # from here on, time is proportional to the views
-    gaussians = jax.device_put(scene.gaussians)
-    renders: dict[str, np.ndarray] = {}
 
-    def write_view(camera: Camera) -> np.ndarray:
-        return _write_view(folder, gaussians, camera, result)
+    def write_view(camera: Camera) -> None:
+        _write_view(folder, camera.name, result, renders[camera.name] / np.float32(255))
 
     with view_threads() as pool:
-        images = zip(cameras, bounded_map(pool, write_view, cameras), strict=True)
-        for done, (camera, image) in enumerate(images, start=1):
-            if camera.name in kept:
-                renders[camera.name] = image
+        for done, _ in enumerate(bounded_map(pool, write_view, cameras), start=1):
             monitor.progress("write", done, len(cameras))
-    ordered = {camera.name: renders[camera.name] for camera in most if camera.name in renders}
-    _write_overview(folder / "overview.png", ordered, result)
+    _write_overview(folder / "overview.png", {name: renders[name] for name in shown}, result)
 
 
 def planned_outputs(cameras: Sequence[Camera]) -> list[str]:
     """Every file that is written for these cameras, relative to the folder of results."""
-    paths = [
-        path_of(Path(folder), camera.name)
-        for camera in cameras
-        for path_of, folders in (
-            (image_path, ("masks", "detector")),
-            (jpeg_path, ("render", "overlay")),
-        )
-        for folder in folders
-    ]
+    paths = [layer_path("", layer, camera.name) for camera in cameras for layer in BY_CAMERA]
     return [*FILES, *(path.as_posix() for path in paths)]
 
 
@@ -155,29 +141,27 @@ def _view(camera: Camera, result: Result) -> dict[str, Any]:
     }
 
 
-def _write_view(folder: Path, gaussians: Gaussians, camera: Camera, result: Result) -> np.ndarray:
-    """Write the masks and pictures of a view; return the render."""
-    name, mask = camera.name, result.masks[camera.name]
-    write_mask(image_path(folder / "masks", name), mask)
+def _write_view(folder: Path, name: str, result: Result, image: np.ndarray) -> None:
+    """Write the masks and pictures of a view."""
+    mask = result.masks[name]
+    write_mask(layer_path(folder, "masks", name), mask)
     if name in result.probabilities:
-        write_probability(image_path(folder / "detector", name), result.probabilities[name])
-    image = np.asarray(render(gaussians, camera, near=result.estimator.near)[0])
-    write_jpeg(jpeg_path(folder / "render", name), image)
-    write_jpeg(jpeg_path(folder / "overlay", name), overlay(image, mask, _tint(result)))
-    return image
+        write_probability(layer_path(folder, "detector", name), result.probabilities[name])
+    write_image(layer_path(folder, "render", name), image)
+    write_image(layer_path(folder, "overlay", name), overlay(image, mask, _tint(result)))
 
 
 def _tint(result: Result) -> np.ndarray:
     return CANDIDATE if are_candidates(result.verdict) else TINT
 
 
-def _write_overview(path: Path, renders: dict[str, np.ndarray], result: Result) -> None:
+def _write_overview(path: Path, renders: Mapping[str, np.ndarray], result: Result) -> None:
     """Render, probability map and mask of a few views, preferably of those with a detector mask."""
     judged = [name for name in renders if name in result.probabilities] or list(renders)
     names = judged[:OVERVIEW_ROWS]
     rows = []
     for name in names:
-        image = renders[name]
+        image = renders[name] / np.float32(255)
         blank = np.zeros(image.shape[:2], np.float16)
         detector = [result.probabilities.get(name, blank)] if result.probabilities else []
         rows.append([image, *detector, overlay(image, result.masks[name], _tint(result))])

@@ -47,8 +47,10 @@ def refuse_overlap(out: Path, inputs: Sequence[Path], *, written: Sequence[str])
 def refuse_foreign(out: Path, names: Sequence[str], *, report: str) -> None:
     """Raise InputError if a file in the way is not an output of an earlier run as it was written.
 
-    In the way are the `names`, which are to be written, and the other outputs of that run.
+    In the way are the `names`, which are to be written, and the other outputs of that run. What
+    `refuse_blocked` refuses is refused, too.
     """
+    refuse_blocked(out, names)
     digests, finished = listed_outputs(out, report), read_journal(out)
     own = {*finished["moved"], *finished["removed"]}
     for name in dict.fromkeys([*names, *digests]):

@@ -16,7 +16,6 @@ OUTLINE = np.array([1.0, 0.95, 0.2], np.float32)
 CANDIDATE = np.array([0.1, 0.45, 1.0], np.float32)
 """Tint of what would be the edit if there was one."""
 CELL_INCHES, CELL_DPI = 3.2, 110
-JPEG_QUALITY = 90
 
 
 def overlay(rgb: np.ndarray, mask: np.ndarray, tint: np.ndarray = TINT) -> np.ndarray:
@@ -34,20 +33,10 @@ def overlay(rgb: np.ndarray, mask: np.ndarray, tint: np.ndarray = TINT) -> np.nd
     return picture
 
 
-def jpeg_path(folder: str | Path, name: str) -> Path:
-    """File of the JPEG of a camera: `image_path` with the suffix .jpg."""
-    return image_path(folder, name).with_suffix(".jpg")
-
-
-def write_jpeg(path: str | Path, rgb: np.ndarray) -> None:
-    """Write a picture (H, W, 3), clipped to [0, 1], and the folders of its path."""
-    from PIL import Image
-    from skimage.util import img_as_ubyte
-
-    picture = Image.fromarray(img_as_ubyte(np.clip(np.asarray(rgb, np.float32), 0, 1)))
-    with atomic(path) as temporary:
-        # Without colour subsampling, which blurs outlines.
-        picture.save(temporary, quality=JPEG_QUALITY, subsampling=0)
+def layer_path(folder: str | Path, layer: str, name: str) -> Path:
+    """File of a picture of a camera in a folder of results: .jpg for people, .png for masks."""
+    path = image_path(Path(folder) / layer, name)
+    return path.with_suffix(".jpg") if layer in ("render", "overlay") else path
 
 
 def contact_sheet(

@@ -10,7 +10,7 @@ VIEW_STAGES = ("views", "masks", "render")
 
 
 class Bars:
-    """A `Progress` that draws a bar for each stage on a terminal, by default stderr."""
+    """A `Progress` that draws a bar per stage on a terminal, by default stderr, until closed."""
 
     def __init__(self, stream: TextIO | None = None) -> None:
         self._stream = stream or sys.stderr
@@ -41,9 +41,3 @@ class Bars:
         if self._bar is not None:
             self._bar.close()
         self._bar = None
-
-    def __enter__(self) -> "Bars":
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()

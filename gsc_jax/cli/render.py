@@ -13,7 +13,7 @@ import numpy as np
 
 from gsc_jax.cli.options import Render
 from gsc_jax.cli.outputs import versions, write_json
-from gsc_jax.cli.ownership import refuse_blocked, refuse_foreign, refuse_overlap
+from gsc_jax.cli.ownership import refuse_foreign, refuse_overlap
 from gsc_jax.cli.scene_input import check_numbers, choose_cameras, naming, read_scene
 from gsc_jax.cli.staging import replacing
 from gsc_jax.evidence.monitor import Monitor
@@ -39,7 +39,6 @@ def run_render(options: Render, *, monitor: Monitor) -> tuple[list[str], list[st
     names = _planned(options, cameras)
     refuse_overlap(options.out, files, written=names)
     refuse_foreign(options.out, names, report=REPORT)
-    refuse_blocked(options.out, names)
     with naming(options.cameras or options.scene):
         warnings += check_views(scene.gaussians, cameras, near=options.near)
     gaussians = jax.device_put(scene.gaussians)

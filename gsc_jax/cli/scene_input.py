@@ -15,8 +15,9 @@ from gsc_jax.io.ply import PlyScene, read_ply
 from gsc_jax.render.orbit import orbit_cameras
 from gsc_jax.scene import Camera, Gaussians, InputError
 
-ORBIT_VIEWS = 24
-"""Number of cameras on an orbit: one every 15 degrees."""
+ORBIT_VIEWS, PREVIEW_VIEWS = 24, 12
+"""Number of cameras on an orbit: one every 15 degrees, or 30 where views only show a result."""
+Y_UP = (".glb",)  # formats whose vertical is +y; -y in most others
 MIN_SIDE_PIXELS, MAX_PIXELS = 8, 50_000_000
 """Limits of image sizes; beyond them, the camera or --scale is most likely a typing error."""
 
@@ -34,7 +35,7 @@ def check_numbers(options: SceneOptions) -> None:
 
 
 def read_scene(
-    options: SceneOptions, warnings: list[str], monitor: Monitor
+    options: SceneOptions, warnings: list[str], monitor: Monitor, *, preview: bool = False
 ) -> tuple[PlyScene, list[Camera]]:
     """Read the scene file and the cameras, scaled and with names that can name files."""
     monitor.progress("load", 0, 2)
@@ -44,22 +45,25 @@ def read_scene(
     if "tamper" in {p.name for element in scene.ply.elements for p in element.properties}:
         warnings.append(f"{options.scene}: already has a property tamper, which is replaced")
     monitor.progress("load", 1, 2)
-    cameras = _read_cameras(options, scene.gaussians, warnings)
+    count = options.views or (PREVIEW_VIEWS if preview else ORBIT_VIEWS)
+    cameras = _read_cameras(options, scene.gaussians, warnings, count)
     with naming(options.cameras or options.scene):
         check_names(cameras)
     monitor.progress("load", 2, 2)
     return scene, cameras
 
 
-def _read_cameras(options: SceneOptions, gaussians: Gaussians, warnings: list[str]) -> list[Camera]:
+def _read_cameras(
+    options: SceneOptions, gaussians: Gaussians, warnings: list[str], count: int
+) -> list[Camera]:
     if options.cameras is not None:
         cameras = load_cameras(options.cameras, max_bytes=memory_limit(options.memory))
     else:
-        count = options.views or ORBIT_VIEWS
-        cameras = orbit_cameras(gaussians, count, seed=options.seed)
+        up = 1 if options.scene.suffix.lower() in Y_UP else -1
+        cameras = orbit_cameras(gaussians, count, up=(0, up, 0), seed=options.seed)
         warnings.append(
-            f"no --cameras given: {count} cameras were placed on an orbit around the scene, -y up, "
-            "and written beside the results; the cameras of the training show the scene better"
+            f"no --cameras given: {count} cameras were placed on an orbit around the scene, "
+            f"{'-+'[up > 0]}y up, and written beside the results; those of the training are better"
         )
     scaled = [camera.scaled(options.scale) for camera in cameras]
     for camera in scaled:

@@ -15,7 +15,7 @@ from gsc_jax.benchmark.simulate import REGIMES, decoy_labels, simulate
 from gsc_jax.benchmark.tamper import Tampered, tamper
 from gsc_jax.cli.options import Tamper
 from gsc_jax.cli.outputs import save_array, versions, write_json
-from gsc_jax.cli.ownership import refuse_blocked, refuse_foreign, refuse_overlap
+from gsc_jax.cli.ownership import refuse_foreign, refuse_overlap
 from gsc_jax.cli.pictures import contact_sheet, overlay
 from gsc_jax.cli.scene_input import check_numbers, choose_cameras, evenly_spaced, naming, read_scene
 from gsc_jax.cli.staging import replacing
@@ -46,7 +46,6 @@ def run_tamper(options: Tamper, *, monitor: Monitor) -> tuple[list[str], list[st
     cameras = choose_cameras(options, cameras, warnings)
     names = _planned(options, cameras)
     refuse_foreign(options.out, names, report=REPORT)
-    refuse_blocked(options.out, names)
     donor = _donor(options)
     with replacing(options.out, report=REPORT) as folder:
         monitor.progress("edit", 0, 1)

@@ -1,7 +1,7 @@
 """One scene to one row: what `gsc-jax locate` finds in it, without the views unless needed.
 
 Without a 2D detector, the views only show the result, so that they are rendered for a report only.
-This module runs in a process that may be killed at any time; see `process`.
+This module runs in a process that may be killed at any time; see `worker`.
 """
 
 import contextlib

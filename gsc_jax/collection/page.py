@@ -1,14 +1,9 @@
 """collection.html: a table of all scenes of a scan that sorts, filters and opens 100,000 rows."""
 
-import base64
-import hashlib
 from collections import Counter
 from collections.abc import Sequence
-from importlib.resources import files
 
-import jinja2
-from markupsafe import Markup
-
+from gsc_jax.cli.report.page import complete_page
 from gsc_jax.collection.record import Row
 from gsc_jax.estimators.protocol import EVIDENCE_FROM
 
@@ -23,7 +18,6 @@ def collection_page(rows: Sequence[Row]) -> str:
     The data are compact JSON, and the script makes elements for the visible rows only. Names and
     errors are foreign text, which becomes text of elements and never markup.
     """
-    script = _text("collection.js")
     data = [
         [
             *(_rounded(row[name]) for name in SHOWN),
@@ -38,23 +32,18 @@ def collection_page(rows: Sequence[Row]) -> str:
     known = [row["scene_probability"] for row in rows]
     probabilities = [value for value in known if value is not None]
     bins = Counter(min(int(10 * probability), 9) for probability in probabilities)
-    template = jinja2.Environment(autoescape=True).from_string(_text("collection.html"))
-    return template.render(
-        mark=Markup(MARK),
+    return complete_page(
+        "gsc_jax.collection",
+        "collection",
+        mark=MARK,
         count=len(rows),
         edited=sum(probability >= EVIDENCE_FROM for probability in probabilities),
         bins=[bins[index] for index in range(10)],
         errors=Counter(row["error_class"] for row in rows if row["error_class"]).most_common(),
         traces=Counter(name for row in rows for name in row["traces"] or ()).most_common(),
         data=data,
-        script=Markup(script),
-        script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
     )
 
 
 def _rounded(value: object) -> object:
     return float(f"{value:.4g}") if isinstance(value, float) else value
-
-
-def _text(name: str) -> str:
-    return files("gsc_jax.collection").joinpath(name).read_text(encoding="utf-8")

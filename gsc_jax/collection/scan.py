@@ -1,12 +1,10 @@
 """The scan: a Ray dataset of scenes to one of rows, with an actor per worker."""
 
-import functools
 from typing import TYPE_CHECKING, Any, cast
 
-from gsc_jax.collection.ledger import Claim, Ledger
 from gsc_jax.collection.record import finished_scenes
 from gsc_jax.collection.settings import ScanSettings
-from gsc_jax.collection.worker import SceneWorker
+from gsc_jax.collection.worker import Ledger, SceneWorker
 from gsc_jax.scene import InputError
 
 if TYPE_CHECKING:
@@ -38,14 +36,16 @@ def scan(dataset: "Dataset", *, settings: ScanSettings | None = None) -> "Datase
     settings = settings or ScanSettings()
     configuration = settings.digest()
     finished = finished_scenes(settings.out, configuration) if settings.out else {}
-    ledger = ray.remote(Ledger).options(num_cpus=0).remote(finished)
+    # On the driver's node: a ledger that is lost with another node would end the scan.
+    strategy = ray.util.scheduling_strategies.NodeAffinitySchedulingStrategy
+    here = strategy(ray.get_runtime_context().get_node_id(), soft=False)
+    ledger = ray.remote(Ledger).options(num_cpus=0, scheduling_strategy=here).remote(finished)
     return dataset.map(
         cast(Any, SceneWorker),  # Ray makes an instance in every actor
         fn_constructor_kwargs={
             "settings": settings,
             "configuration": configuration,
-            "claim": functools.partial(_claim, ledger),
-            "slot": functools.partial(_slot, ledger),
+            "ledger": ledger,
         },
         compute=ray.data.ActorPoolStrategy(
             size=settings.workers,
@@ -66,13 +66,3 @@ def import_ray() -> Any:
     except ImportError as error:
         raise InputError("scan: needs Ray: pip install 'gsc_jax[cluster]'") from error
     return ray
-
-
-def _claim(ledger: Any, key: str, scene: str) -> Claim:
-    return import_ray().get(ledger.claim.remote(key, scene))
-
-
-def _slot(ledger: Any) -> int:
-    ray = import_ray()
-    context = ray.get_runtime_context()
-    return ray.get(ledger.slot.remote(context.get_node_id(), context.get_actor_id()))

@@ -1,27 +1,74 @@
-"""The actor of a worker: it reads and identifies scenes, and a process of its own judges them.
+"""The actors of a scan: its ledger, and two of a worker, which reads and which judges scenes.
 
-The process keeps compiled code and the network. It may be killed, by the timeout or by the kernel
-for memory. While it judges a scene, the actor reads the next one into the page cache.
+The one that judges has a process of its own, which keeps compiled code and the network. It may be
+killed by the timeout or by the kernel for memory; the next scene then starts another. While it
+judges a scene, the other reads and identifies the next one, which is then in the page cache.
 """
 
+import ctypes
 import hashlib
 import importlib.metadata
 import os
 import tempfile
 import threading
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from gsc_jax.collection.ledger import Claim
-from gsc_jax.collection.process import SceneProcess
+from gsc_jax.cli.cache import enable_compilation_cache
+from gsc_jax.cli.options import Locate
+from gsc_jax.collection.judge import judge
 from gsc_jax.collection.record import Row, complete, write_row
 from gsc_jax.collection.settings import ScanSettings
 from gsc_jax.io.files import GIB, content_digest
 
 UNREAD = ""
 """Key of a scene that cannot be read."""
+MAX_SCENES = 50
+"""Scenes after which another process takes over, so that what libraries keep does not add up."""
+# glibc returns large arrays to the system at once; else its arenas keep 50 MiB of each scene.
+MALLOC = {"env_vars": {"MALLOC_MMAP_THRESHOLD_": str(2**20), "MALLOC_ARENA_MAX": "2"}}
+
+
+class Claim(NamedTuple):
+    """Answer to a claim: the number of the attempt, from 1, or who has this content already."""
+
+    owner: str | None = None
+    attempt: int = 1
+
+
+class Ledger:
+    """Actor that knows which scene has a content, and how often it was begun.
+
+    One for the whole scan, so that a content is computed once wherever its copies are. It counts
+    attempts that no worker has survived, such as those on a node that disappeared.
+
+    Args:
+        finished: Ids of finished scenes by key, of an earlier scan, the first one for each.
+    """
+
+    def __init__(self, finished: Mapping[str, list[str]]) -> None:
+        self._finished = {key: set(ids) for key, ids in finished.items()}
+        self._owners = {key: ids[0] for key, ids in finished.items()}
+        self._begun: Counter[str] = Counter()
+        self._slots: dict[str, dict[str, int]] = {}
+
+    def claim(self, key: str, scene: str) -> Claim:
+        """Claim a content for a scene; the same scene may claim again, as after a lost node."""
+        if scene in self._finished.get(key, ()):
+            return Claim(owner=scene)
+        owner = self._owners.setdefault(key, scene)
+        if owner != scene:
+            return Claim(owner=owner)
+        self._begun[key] += 1
+        return Claim(attempt=self._begun[key])
+
+    def slot(self, node: str, worker: str) -> int:
+        """Number of a worker on its node, from 0; a restarted worker keeps it."""
+        slots = self._slots.setdefault(node, {})
+        return slots.setdefault(worker, len(slots))
 
 
 class SceneWorker:
@@ -30,20 +77,25 @@ class SceneWorker:
     Args:
         settings: Those of the scan.
         configuration: Their digest.
-        claim: Asks the ledger of the scan; see `Ledger.claim`.
-        slot: Asks it for a number of this worker on its machine.
+        ledger: Handle of the actor of the `Ledger` of the scan.
     """
 
-    def __init__(
-        self,
-        settings: ScanSettings,
-        configuration: str,
-        claim: Callable[[str, str], Claim],
-        slot: Callable[[], int],
-    ) -> None:
-        self._settings, self._configuration, self._claim = settings, configuration, claim
-        self._process = SceneProcess(_cores(slot(), settings.cpus), settings.cache)
-        self._busy = threading.Lock()
+    def __init__(self, settings: ScanSettings, configuration: str, ledger: Any) -> None:
+        import ray
+
+        self._ray: Any = ray
+        self._settings, self._configuration = settings, configuration
+        self._ledger, self._busy = ledger, threading.Lock()
+        context = ray.get_runtime_context()
+        node, worker = context.get_node_id(), context.get_actor_id()
+        cores = _cores(ray.get(ledger.slot.remote(node, worker)), settings.cpus)
+        strategy = self._ray.util.scheduling_strategies.NodeAffinitySchedulingStrategy
+        actor = self._ray.remote(_Judge).options(
+            num_cpus=0, scheduling_strategy=strategy(node, soft=False), runtime_env=MALLOC
+        )
+        self._started: Callable[[], Any] = lambda: actor.remote(cores, settings.cache)
+        self._judge: Any = None
+        self._scenes = 0
 
     def __call__(self, entry: Row) -> Row:
         """The row of a scene, which is written to the folder of results if there is one."""
@@ -57,7 +109,9 @@ class SceneWorker:
             except Exception as error:  # missing, unreadable, or an address without an answer
                 row |= _failure(error, entry, type(error).__name__)
                 places = {}
-            claim = self._claim(row["key"], row["id"]) if places else Claim()
+            claim = Claim()
+            if places:
+                claim = self._ray.get(self._ledger.claim.remote(row["key"], row["id"]))
             if claim.owner is not None:
                 row |= {"status": "finished" if claim.owner == row["id"] else "duplicate"}
                 row["duplicate_of"] = None if claim.owner == row["id"] else claim.owner
@@ -92,14 +146,52 @@ class SceneWorker:
             found = {"attempts": attempt}
             try:
                 with self._busy:
-                    return found | self._process.judge(command, above, timeout=settings.timeout)
-            except TimeoutError:
+                    return found | self._judged_once(command, above)
+            except self._ray.exceptions.GetTimeoutError:
                 text = f"took longer than {settings.timeout:g} s; allow more with --timeout"
                 found |= _failure(text, row, "TimeoutError")
-            except EOFError:
+            except self._ray.exceptions.RayActorError:
                 text = "its process was killed, most likely for memory; use fewer --workers"
                 found |= _failure(text, row, "WorkerLost")
         return found or _failure("its worker was lost, with its node", row, "WorkerLost")
+
+    def _judged_once(self, command: Row, above: float | None) -> Row:
+        """Judge a scene in the process, which the next scene replaces if it is lost."""
+        process, self._judge = self._judge or self._started(), None
+        self._ray.get(process.ready.remote())  # its start does not count
+        judged = process.judge.remote(command, above)
+        try:
+            row = self._ray.get(judged, timeout=self._settings.timeout)
+        except self._ray.exceptions.GetTimeoutError:
+            self._ray.kill(process)
+            raise
+        self._scenes += 1
+        if self._scenes % MAX_SCENES:  # else Ray ends the process, which nothing refers to
+            self._judge = process
+        return row
+
+
+class _Judge:
+    """Judges scenes on given cores, and stores compiled code in a folder if there is one.
+
+    The pools of XLA and onnxruntime are as large as the set of cores of the process that starts
+    them, and `OMP_NUM_THREADS` of Ray bounds those of NumPy.
+    """
+
+    def __init__(self, cores: Sequence[int], cache: Path | None) -> None:
+        if hasattr(os, "sched_setaffinity"):  # Linux
+            os.sched_setaffinity(0, cores)
+        if cache is not None:
+            enable_compilation_cache(cache)
+
+    def ready(self) -> None:
+        """Return once the process has started."""
+
+    def judge(self, command: Mapping[str, Any], above: float | None) -> Row:
+        """Judge a scene, as `judge` does, by the options of `locate` under their names."""
+        row = judge(Locate(**command), above)
+        getattr(ctypes.CDLL(None), "malloc_trim", lambda _: None)(0)
+        return row
 
 
 def _cores(slot: int, count: int) -> list[int]:

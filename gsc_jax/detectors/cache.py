@@ -2,26 +2,26 @@
 
 The key is a digest of the detector's options and of all bits of the image: rendering is
 reproducible to the bit on one machine. Maps are stored as float32, so a cached run has the same
-results. diskcache bounds the size and writes atomically. Entries are archives of NumPy, never
-pickles. If the cache fails, there is a warning and the detector runs.
+results. Every file ends with a digest of its content; a damaged one is computed again. If the cache
+fails, there is a warning and the detector runs.
 """
 
+import contextlib
 import hashlib
-import io
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import diskcache
 import numpy as np
 
 from gsc_jax.evidence.detector import Detector
+from gsc_jax.evidence.observation import DIAGNOSTICS, MAP
+from gsc_jax.evidence.storage import ArrayStore
 from gsc_jax.io.validation import brief
 from gsc_jax.scene import Camera
 
-MAX_BYTES = 2 * 2**30
-"""About 500 uncompressed maps of a megapixel, 4 MiB each."""
+MAX_BYTES = 2 * 2**30  # about 500 maps of a megapixel, 4 MiB each
 
 
 class CachedDetector:
@@ -36,12 +36,13 @@ class CachedDetector:
         """Configure a cache in a folder of its own, which is created when it is first used.
 
         The key identifies the detector with all its options, such as `OnnxDetector.fingerprint`.
-        Above `max_bytes`, the least recently used outputs are removed.
+        Above `max_bytes`, the oldest outputs are removed.
         """
         self.detector = detector
         self.folder = Path(folder)
         self.needs_image = detector.needs_image
         self.fingerprint = key
+        self._store = ArrayStore(self.folder)
         self._max_bytes = max_bytes
         self._failures: list[str] = []
 
@@ -56,15 +57,20 @@ class CachedDetector:
         """
         if image is None:
             return self.detector(image, camera)
-        diagnostics = self.diagnostics
-        entry = self._read(image)
-        if entry is None:
-            probability = np.asarray(self.detector(image, camera), np.float32)
-            self._write(image, probability, diagnostics.get(camera.name))
-            return probability
-        probability, counts = entry
-        if counts is not None:
-            diagnostics[camera.name] = counts
+        facts = f"{self.fingerprint} {image.shape} {image.dtype}".encode()
+        name = hashlib.blake2b(facts + image.tobytes(), digest_size=16).hexdigest()
+        with self._failing_softly():
+            if all(self._store.has(kind, name) for kind in (MAP, DIAGNOSTICS)):
+                counts = json.loads(bytes(self._store.get(DIAGNOSTICS, name)))
+                if counts is not None:
+                    self.diagnostics[camera.name] = counts
+                return np.array(self._store.get(MAP, name))
+        probability = np.asarray(self.detector(image, camera), np.float32)
+        counts = json.dumps(self.diagnostics.get(camera.name)).encode()
+        with self._failing_softly():
+            self._store.put(MAP, name, probability)
+            self._store.put(DIAGNOSTICS, name, np.frombuffer(counts, np.uint8))
+            self._remove_oldest()
         return probability
 
     @property
@@ -84,56 +90,17 @@ class CachedDetector:
             f"({self._failures[0]}), so the detector ran again; if this repeats, delete the folder",
         )
 
-    def _open(self) -> diskcache.Cache:
-        return _ClosedIfBroken(
-            str(self.folder),
-            disk=_WithoutPickles,
-            size_limit=self._max_bytes,
-            eviction_policy="least-recently-used",
-        )
-
-    def _digest(self, image: np.ndarray) -> str:
-        facts = f"{self.fingerprint} {image.shape} {image.dtype}".encode()
-        return hashlib.blake2b(facts + image.tobytes(), digest_size=16).hexdigest()
-
-    def _read(self, image: np.ndarray) -> tuple[np.ndarray, Any] | None:
-        """Stored output and diagnostics, or None if there are none or they are damaged."""
+    @contextlib.contextmanager
+    def _failing_softly(self) -> Iterator[None]:
         try:
-            with self._open() as cache:
-                stored = cache.get(self._digest(image))
-            if not isinstance(stored, bytes):
-                return None
-            with np.load(io.BytesIO(stored), allow_pickle=False) as entry:
-                return entry["probability"], json.loads(str(entry["diagnostics"]))
-        except Exception as error:  # of the file system, SQLite, diskcache, a damaged archive
-            self._failures.append(brief(error))
-            return None
-
-    def _write(self, image: np.ndarray, probability: np.ndarray, diagnostics: Any) -> None:
-        buffer = io.BytesIO()
-        np.savez_compressed(buffer, probability=probability, diagnostics=json.dumps(diagnostics))
-        try:
-            with self._open() as cache:
-                cache.set(self._digest(image), buffer.getvalue())
-        except Exception as error:  # of the file system, SQLite, diskcache
+            yield
+        except (OSError, ValueError) as error:
             self._failures.append(brief(error))
 
-
-class _ClosedIfBroken(diskcache.Cache):
-    """A cache that does not leave the connection to a damaged database open."""
-
-    def __init__(self, *args: Any, **options: Any):
-        try:
-            super().__init__(*args, **options)
-        except Exception:
-            self.close()
-            raise
-
-
-class _WithoutPickles(diskcache.Disk):
-    """Storage of bytes; a pickle in the database counts as missing."""
-
-    def fetch(self, mode: int, filename: str, value: Any, read: bool) -> Any:
-        if mode == diskcache.core.MODE_PICKLE:
-            return None
-        return super().fetch(mode, filename, value, read)
+    def _remove_oldest(self) -> None:
+        files = [(path.stat(), path) for path in self.folder.glob("*.npy")]
+        files.sort(key=lambda entry: -entry[0].st_mtime_ns)
+        sizes = np.cumsum([stat.st_size for stat, _ in files])
+        for (_, path), size in zip(files, sizes, strict=True):
+            if size > self._max_bytes:
+                path.unlink(missing_ok=True)

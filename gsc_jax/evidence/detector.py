@@ -149,10 +149,13 @@ class _MappingDetector:
         return same_view(self.maps[camera.name], camera)
 
 
-def as_detector(detector: Any) -> Detector:
-    """Wrap a function of the image, or a mapping of probability maps, as a detector.
+def as_detector(detector: Any, cameras: Sequence[Camera] = ()) -> Detector:
+    """Wrap a function of the image, or probability maps, as a detector.
+
+    Probability maps are a mapping by camera name, or any iterable with one for each of the cameras.
 
     Raises:
+        InputError: if there are more or fewer maps than cameras.
         ValueError: if it is neither, nor a detector; also for a torch module, whose input is not
             known.
     """
@@ -165,6 +168,14 @@ def as_detector(detector: Any) -> Detector:
             "detector is a torch module, expected a function of the image (H, W, 3) in [0, 1]; "
             "wrap it: docs/detectors.md, section 'Without ONNX', has an example"
         )
+    if not callable(detector) and hasattr(detector, "__iter__") and not isinstance(detector, str):
+        maps = list(detector)
+        if len(maps) != len(cameras):
+            raise InputError(
+                f"expected a mask for each of {len(cameras)} cameras, in their order, got "
+                f"{len(maps)}; give masks by camera name to leave cameras out"
+            )
+        return _MappingDetector({c.name: one for c, one in zip(cameras, maps, strict=True)})
     if not callable(detector):
         raise ValueError(
             "detector must be a detector, a function of the image, or probability maps by camera "

@@ -17,17 +17,18 @@ import numpy as np
 from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.evidence.storage import ArrayStore, ByView
 from gsc_jax.render.projection import NEAR
+from gsc_jax.render.spherical_harmonics import colors
 from gsc_jax.render.tiles import make_view, restricted
 from gsc_jax.scene import Array, Camera, Gaussians
+from gsc_jax.scene.gaussians import transparent_rows
 from gsc_jax.scene.parallel import bounded_map, view_threads
-from gsc_jax.splat import composite_with_alpha, require_finite
+from gsc_jax.splat import composite_with_alpha, render, require_finite
 
 MaskRule = Literal["share", "attribute", "per-view"]
 MIN_COVERAGE = 0.1
 """Least alpha of a pixel in a mask: the truth in shared test data and experiments uses it, too."""
 
-MASK = "mask"
-"""Kind of the final masks in a store."""
+MASK, RENDER = "mask", "render"  # kinds of the final masks, and of 8-bit renders, in a store
 
 
 class Scored(Protocol):
@@ -45,6 +46,12 @@ class Labelled(NamedTuple):
 
     tamper: np.ndarray
     labels: np.ndarray
+
+
+def filled_scores(scored: Scored) -> Labelled:
+    """Scores and labels of a scene that is `filled_up`: 0 and false for the transparent rows."""
+    more = (0, transparent_rows(len(scored.labels)))
+    return Labelled(np.pad(scored.tamper, more), np.pad(scored.labels, more))
 
 
 def normalise(attribute: Array) -> jax.Array:
@@ -93,21 +100,55 @@ def view_mask(
         raise ValueError(f"threshold must be in [0, 1), got {threshold}")
     if rule == "per-view":
         return _per_view_mask(gaussians, camera, scored, threshold=threshold, near=near)
-    feature, level = (scored.labels, 0.5) if rule == "share" else (scored.tamper, threshold)
+    feature, level = _feature(scored, rule, threshold)
     return rendered_share(gaussians, camera, feature, near=near) > level
 
 
+def mask_and_render(
+    gaussians: Gaussians,
+    camera: Camera,
+    scored: Scored,
+    *,
+    rule: MaskRule,
+    threshold: float,
+    near: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Compute `view_mask` and the render, RGB (H, W, 3) in 8 bit, in one pass."""
+    from skimage.util import img_as_ubyte
+
+    if rule == "per-view":
+        mask = _per_view_mask(gaussians, camera, scored, threshold=threshold, near=near)
+        return mask, img_as_ubyte(render(gaussians, camera, near=near)[0])
+    feature, level = _feature(scored, rule, threshold)
+    rgb = colors(gaussians.sh, gaussians.means, camera.center)
+    channels = jnp.concatenate([jnp.asarray(feature, jnp.float32)[:, None], rgb], axis=1)
+    view = make_view(gaussians, camera, near=near)
+    image, alpha = composite_with_alpha(view, channels)
+    return _share(image[..., 0], alpha) > level, img_as_ubyte(jnp.minimum(image[..., 1:], 1.0))
+
+
+def _feature(scored: Scored, rule: MaskRule, threshold: float) -> tuple[np.ndarray, float]:
+    """The feature whose share of a pixel's weight decides, and the level that it must exceed."""
+    return (scored.labels, 0.5) if rule == "share" else (scored.tamper, threshold)
+
+
 def stored_masks(
-    mask_of: Callable[[Camera], np.ndarray],
+    compute: Callable[[Camera], np.ndarray | tuple[np.ndarray, np.ndarray]],
     cameras: Sequence[Camera],
     store: ArrayStore,
     monitor: Monitor,
 ) -> ByView:
-    """Compute the mask of every view and put it into the store: tampered pixels by camera name."""
+    """Put the mask of every view, and its render if computed, into the store; return the masks."""
+
+    def put(camera: Camera) -> None:
+        with monitor.stage("masks"):
+            found = compute(camera)
+            arrays = found if isinstance(found, tuple) else (found,)
+            for kind, array in zip((MASK, RENDER), arrays, strict=False):
+                store.put(kind, camera.name, array)
+
     with view_threads() as pool:
-        masks = zip(cameras, bounded_map(pool, mask_of, cameras), strict=True)
-        for done, (camera, mask) in enumerate(masks, start=1):
-            store.put(MASK, camera.name, mask)
+        for done, _ in enumerate(bounded_map(pool, put, cameras), start=1):
             monitor.progress("masks", done, len(cameras))
     names = tuple(camera.name for camera in cameras)
     return ByView(names, lambda name: np.array(store.get(MASK, name)))
@@ -136,8 +177,12 @@ def rendered_share(
         raise ValueError(f"feature must have shape ({len(gaussians)},), got {feature.shape}")
     view = restricted(make_view(gaussians, camera, near=near), np.asarray(feature) != 0)
     image, alpha = composite_with_alpha(view, feature[:, None])
+    return _share(image[..., 0], alpha)
+
+
+def _share(blended: jax.Array, alpha: jax.Array) -> np.ndarray:
     covered = alpha > MIN_COVERAGE
-    return np.asarray(jnp.where(covered, image[..., 0] / jnp.where(covered, alpha, 1.0), 0.0))
+    return np.asarray(jnp.where(covered, blended / jnp.where(covered, alpha, 1.0), 0.0))
 
 
 def _per_view_mask(
@@ -148,4 +193,4 @@ def _per_view_mask(
     logits = jnp.where(jnp.asarray(scored.labels), gaussians.logit_opacities, -jnp.inf)
     view = make_view(dataclasses.replace(gaussians, logit_opacities=logits), camera, near=near)
     image = composite_with_alpha(view, tamper[:, None])[0][..., 0]
-    return np.asarray((image > threshold * jnp.max(image)) & (image > 0))
+    return np.asarray(image > threshold * jnp.max(image))

@@ -8,7 +8,7 @@ start from it.
 import dataclasses
 import functools
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -21,6 +21,7 @@ from gsc_jax.evidence.storage import ArrayStore, ByView
 from gsc_jax.render.projection import NEAR, project, project_centers
 from gsc_jax.render.tiles import View, bin_view
 from gsc_jax.scene import Camera, Gaussians, InputError
+from gsc_jax.scene.gaussians import filled_up
 from gsc_jax.scene.parallel import bounded_map, view_threads
 from gsc_jax.splat import render_view
 from gsc_jax.vote import Tally, cast_votes, no_votes, tally
@@ -59,8 +60,8 @@ class Observation:
 
 def observe(
     gaussians: Gaussians,
-    cameras: Sequence[Camera],
-    detector: Detector | Callable[[np.ndarray], Any] | Mapping[str, Any],
+    cameras: Iterable[Camera],
+    detector: Detector | Callable[[np.ndarray], Any] | Mapping[str, Any] | Iterable[Any],
     *,
     near: float = NEAR,
     store: ArrayStore | None = None,
@@ -71,7 +72,8 @@ def observe(
     Args:
         gaussians: N Gaussians.
         cameras: V cameras, for all of which the detector has an output.
-        detector: A 2D detector, a function of the image, or probability maps by camera name.
+        detector: A 2D detector, a function of the image, or probability maps: by camera name, or
+            one for each camera in a sequence, array or generator.
         near: Near plane in world units.
         store: Where the maps and the evidence of the views are kept; a new one by default. Views
             that it holds are neither judged nor lifted again.
@@ -84,16 +86,16 @@ def observe(
         InputError: if there is no camera, two have one name, or the detector has no output for one.
         ValueError: if the detector is none.
     """
-    check_cameras(cameras)
-    monitor, detector = monitor or Monitor(), as_detector(detector)
+    cameras = check_cameras(cameras)
+    monitor, detector = monitor or Monitor(), as_detector(detector, cameras)
     names = tuple(camera.name for camera in cameras)
-    store = store or ArrayStore()
+    store, filled = store or ArrayStore(), filled_up(gaussians)
     missing = [c for c in cameras if not (store.has(EVIDENCE, c.name) and store.has(MAP, c.name))]
     _restore_diagnostics(detector, names, store)
 
     def prepare(camera: Camera) -> tuple[View, np.ndarray | None]:
         image = detector.needs_image and not store.has(MAP, camera.name)
-        return _prepare(gaussians, camera, monitor, near=near, image=image)
+        return _prepare(filled, camera, monitor, near=near, image=image)
 
     def detect() -> Iterator[tuple[Camera, View]]:
         # The detector runs in this thread only, since a user's function need not be thread-safe.
@@ -140,8 +142,11 @@ def _prepare(
         return view, np.asarray(render_view(view, gaussians, camera)[0])
 
 
-def check_cameras(cameras: Sequence[Camera]) -> None:
-    """Raise an InputError if there is no camera, or two have one name."""
+def check_cameras(cameras: Camera | Iterable[Camera]) -> list[Camera]:
+    """The cameras as a list; InputError if there is none, one is no camera, or names repeat."""
+    cameras = [cameras] if isinstance(cameras, Camera) else list(cameras)
+    if others := {type(camera).__name__ for camera in cameras if not isinstance(camera, Camera)}:
+        raise InputError(f"cameras must be Camera objects, got {', '.join(sorted(others))}")
     names = [camera.name for camera in cameras]
     if not names:
         raise InputError("no cameras: expected at least one view of the scene")
@@ -150,6 +155,7 @@ def check_cameras(cameras: Sequence[Camera]) -> None:
         raise InputError(
             f"Two cameras have the name {duplicates[0]!r}; masks are stored by camera name."
         )
+    return cameras
 
 
 def votes_of_view(gaussians: Gaussians, camera: Camera, mask: np.ndarray) -> Tally:

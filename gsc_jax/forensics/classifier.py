@@ -66,8 +66,9 @@ def smoothed_log_odds(features: Features, classifier: Classifier) -> np.ndarray:
     What looks less tampered than the middle of the scene is no less suspicious: a pasted object may
     come from a capture that is nearer to the authentic ones of the training than its host.
     """
-    columns = [features.names.index(name) for name in classifier.names]
-    count = len(features.neighbourhoods.nearest)
+    columns, count = slice(None), len(features.neighbourhoods.nearest)
+    if classifier.names != features.names:  # selecting columns copies all values
+        columns = [features.names.index(name) for name in classifier.names]
     blocks = (features.rows(slice(start, start + BLOCK)) for start in range(0, count, BLOCK))
     raw = [raw_log_odds(block, classifier.networks, columns) for block in blocks]
     raw = np.clip(np.concatenate(raw), -MAX_RAW_LOG_ODDS, MAX_RAW_LOG_ODDS)
@@ -108,7 +109,7 @@ def default_classifier() -> Classifier:
 
 
 def from_arrays(stored: Mapping[str, np.ndarray]) -> Classifier:
-    """Classifier from the arrays of `as_arrays`."""
+    """Classifier from the arrays that `experiments/train_classifier.py` stores."""
     count, depth = stored["shape"]
     networks = tuple(
         tuple((stored[f"weights{i}.{k}"], stored[f"bias{i}.{k}"]) for k in range(depth))
@@ -118,13 +119,3 @@ def from_arrays(stored: Mapping[str, np.ndarray]) -> Classifier:
     others = {name: tuple(values) for name, values in others.items()}
     base, weight = float(stored["base"]), float(stored["novelty"])
     return Classifier(networks=networks, base=base, novelty=weight, **others)
-
-
-def as_arrays(classifier: Classifier) -> dict[str, np.ndarray]:
-    """Arrays of a classifier by name, for `np.savez`."""
-    arrays = {"shape": np.array([len(classifier.networks), len(classifier.networks[0])])}
-    for i, layers in enumerate(classifier.networks):
-        for k, (weights, bias) in enumerate(layers):
-            arrays |= {f"weights{i}.{k}": weights, f"bias{i}.{k}": bias}
-    others = ("names", "novelty", "calibration", "base", "scene")
-    return arrays | {name: np.array(getattr(classifier, name)) for name in others}

@@ -12,17 +12,16 @@ import numpy as np
 
 from gsc_jax.forensics.traces import Trace, make_trace, region_scores
 from gsc_jax.scene import Gaussians
-from gsc_jax.scene.neighbours import nearest_neighbours
-from gsc_jax.scene.parallel import in_blocks
+from gsc_jax.scene.neighbours import order_of_leaves
+from gsc_jax.scene.parallel import in_blocks, workers
+from gsc_jax.scene.statistics import principal_axes
 
 APPEARANCE_RADIUS = 0.35
 """Distance of duplicates in `appearance`, above that of noise and 8-bit rounding."""
 INVARIANT_RADIUS = 0.01
 """The same in `similarity_invariants`: smaller, since fewer numbers identify a duplicate."""
-NEIGHBOURS = 12
-"""Neighbours whose duplicates are compared."""
-SAMPLE = 12_000
-"""Gaussians searched first; around those that pass, all are searched."""
+LEAF = 32
+"""Points in a leaf of a tree of attributes: in many dimensions, larger leaves are faster."""
 MIN_MOVED_SHARE = 0.15
 """Share of neighbours with duplicates in the same place; 0.08 in 1 of 1000 authentic scenes."""
 MIN_MOVE, MAX_SPREAD = 0.5, 3.0
@@ -33,19 +32,21 @@ MIN_FAR_SHARE = 0.2
 coincidence: 0.37 to 0.75 in filled holes, 0 among the clones of an authentic scene (seal)."""
 
 
-def copy_move(gaussians: Gaussians, neighbours: np.ndarray) -> Trace:
+def copy_move(
+    gaussians: Gaussians, neighbours: np.ndarray, duplicates: np.ndarray | None = None
+) -> Trace:
     """Detect regions whose Gaussians occur again elsewhere, moved in the same way.
 
     Nearly all Gaussians of a filled hole have duplicates, but only a part of the region they were
-    copied from; of an object that was copied as a whole, both copies are marked.
+    copied from; of an object that was copied as a whole, both copies are marked. `duplicates` are
+    those of `nearest_duplicates`, (N,), where they are known.
     """
     moves = np.zeros(len(gaussians))
-    if len(gaussians) > 2 * NEIGHBOURS:
+    if neighbours.size:
+        alike = nearest_duplicates(gaussians)[1] if duplicates is None else duplicates
+        similar = _nearest(similarity_invariants(gaussians), INVARIANT_RADIUS)[1]
         means = np.asarray(gaussians.means, np.float64)
-        reach = np.linalg.norm(means - means[neighbours[:, -1]], axis=1)
-        alike = moved_together(means, reach, appearance(gaussians), APPEARANCE_RADIUS)
-        similar = moved_together(means, reach, similarity_invariants(gaussians), INVARIANT_RADIUS)
-        moves = np.maximum(alike, similar)
+        moves = np.maximum(*(moved_together(means, neighbours, rows) for rows in (alike, similar)))
     score = _region_scores(moves > 0, neighbours)
     moves[_clones(score > 0.5, moves > MAX_SPREAD, neighbours)] = 0
     score = _region_scores(moves > 0, neighbours)
@@ -57,58 +58,27 @@ def _region_scores(marked: np.ndarray, neighbours: np.ndarray) -> np.ndarray:
     return region_scores(marked, neighbours, min_share=0.6, min_outside=0.6)
 
 
-def moved_together(
-    means: np.ndarray, reach: np.ndarray, attributes: np.ndarray, radius: float
-) -> np.ndarray:
+def moved_together(means: np.ndarray, neighbours: np.ndarray, duplicates: np.ndarray) -> np.ndarray:
     """Distances to duplicates that lie where those of the neighbours lie, else 0, shape (N,).
 
-    They are in units of `reach`, the distance to the last neighbour, shape (N,). Duplicates are
-    closer than the radius in the attributes (N, D).
+    They are in units of the distance to the last of the neighbours (N, K). `duplicates` are rows,
+    or -1, shape (N,).
     """
-    from scipy.spatial import KDTree
-
-    tree = KDTree(attributes, balanced_tree=False)
-    rows = np.arange(len(means))
-    if len(rows) > SAMPLE:
-        rows = np.sort(np.random.default_rng(0).choice(len(rows), SAMPLE, replace=False))
-        # Neighbours within a sample are further apart, in proportion on a surface.
-        widening = np.sqrt(len(means) / SAMPLE)
-        near, moves = _arranged(means, reach, rows, _duplicates(tree, rows, radius), widening)
-        hits = moves > 0
-        seeds = rows[hits & (hits[near].mean(axis=1) >= MIN_MOVED_SHARE)]
-        rows = _close_to(means, seeds, 2 * widening * reach[seeds])
-    result = np.zeros(len(means))
-    if len(rows) > NEIGHBOURS:
-        result[rows] = _arranged(means, reach, rows, _duplicates(tree, rows, radius))[1]
-    return result
-
-
-def _duplicates(tree, rows: np.ndarray, radius: float) -> np.ndarray:
-    """Nearest other point of a tree within a radius, or -1, shape (M,)."""
-    found = tree.query(tree.data[rows], k=2, distance_upper_bound=radius, workers=-1)[1]
-    # Of exact copies, the first result may be the other one.
-    other = np.where(found[:, 0] == rows, found[:, 1], found[:, 0])
-    return np.where(other < tree.n, other, -1)
-
-
-def _arranged(
-    means: np.ndarray, reach: np.ndarray, rows: np.ndarray, duplicates: np.ndarray, widening=1.0
-) -> tuple[np.ndarray, np.ndarray]:
-    """Neighbours among the rows, (M, K), and moves to duplicates next to those of theirs, (M,)."""
-    near = nearest_neighbours(means[rows], np.arange(len(rows)), NEIGHBOURS)
-    moves = np.linalg.norm(means[duplicates] - means[rows], axis=1) / np.maximum(reach[rows], 1e-12)
+    reach = np.linalg.norm(means - means[neighbours[:, -1]], axis=1)
+    moves = np.linalg.norm(means[duplicates] - means, axis=1) / np.maximum(reach, 1e-12)
     has = (duplicates >= 0) & (moves > MIN_MOVE)
     # A copy may be larger or smaller than the original.
-    spread = widening * MAX_SPREAD * np.maximum(reach[rows], reach[duplicates])
+    spread = MAX_SPREAD * np.maximum(reach, reach[duplicates])
 
     def together(some: np.ndarray) -> np.ndarray:
         """Share of the neighbours whose duplicates lie close to the duplicate of the row."""
-        own, others = means[duplicates[some]], means[duplicates[near[some]]]
-        close = np.linalg.norm(others - own[:, None], axis=2) <= spread[some, None]
-        return (has[near[some]] & close).mean(axis=1)
+        near, own = neighbours[some], means[duplicates[some], None]
+        close = np.linalg.norm(means[duplicates[near]] - own, axis=2) <= spread[some, None]
+        return (has[near] & close).mean(axis=1)
 
-    found = has & (in_blocks(together, np.arange(len(rows))) >= MIN_MOVED_SHARE)
-    return near, np.where(found, moves, 0)
+    rows = np.flatnonzero(has)
+    has[rows] = in_blocks(together, rows) >= MIN_MOVED_SHARE
+    return np.where(has, moves, 0)
 
 
 def _clones(marked: np.ndarray, far: np.ndarray, neighbours: np.ndarray) -> np.ndarray:
@@ -129,15 +99,45 @@ def _clones(marked: np.ndarray, far: np.ndarray, neighbours: np.ndarray) -> np.n
     return clones
 
 
-def _close_to(means: np.ndarray, seeds: np.ndarray, radius: np.ndarray) -> np.ndarray:
-    """Sorted rows of the points within the radius of their nearest seed."""
+def nearest_duplicates(gaussians: Gaussians) -> tuple[np.ndarray, np.ndarray]:
+    """Distances to the most similar other Gaussians in `appearance`, and their rows, both (N,).
+
+    They are infinite and -1 beyond `APPEARANCE_RADIUS`.
+    """
+    return _nearest(appearance(gaussians), APPEARANCE_RADIUS)
+
+
+def _nearest(described: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
+    """Distances to the nearest other of the points (N, D) within a radius, and their rows."""
     from scipy.spatial import KDTree
 
-    if not len(seeds):
-        return seeds
-    gaps, which = KDTree(means[seeds]).query(means, distance_upper_bound=radius.max(), workers=-1)
-    # Where no seed is within the bound, the gap is infinite and the index one too many.
-    return np.flatnonzero(gaps <= np.append(radius, 0)[which])
+    # A KDTree degenerates where many points are equal: it gets one of them.
+    hashes = _row_hashes(described)
+    order = np.argsort(hashes, kind="stable")
+    new = np.append(True, np.diff(hashes[order]) != 0)
+    alone, rows = new & np.roll(new, -1), np.empty(len(order), np.int32)
+    rows[order] = np.where(new, np.roll(order, -1), np.roll(order, 1))
+    points = order[new]
+    points = points[order_of_leaves(described[points])]
+    tree = KDTree(described[points], leafsize=LEAF, balanced_tree=False)
+    found = tree.query(tree.data, k=2, distance_upper_bound=radius, workers=workers())
+    far, near = map(np.asarray, found)
+    single, distances = np.isin(points, order[alone]), np.zeros(len(order))
+    distances[points[single]] = far[single, 1]
+    rows[points[single]] = np.append(points, -1)[near[single, 1]]
+    return distances, rows
+
+
+def _row_hashes(rows: np.ndarray) -> np.ndarray:
+    """Hash of each row (N, D) float32, equal for equal rows, shape (N,) uint64."""
+    keys = np.random.default_rng(0).integers(1, 2**63, rows.shape[1], dtype=np.uint64) | np.uint64(
+        1
+    )
+
+    def hashes(part: np.ndarray) -> np.ndarray:
+        return (part + np.float32(0)).view(np.uint32).astype(np.uint64) @ keys  # -0 is 0
+
+    return in_blocks(hashes, rows)
 
 
 def appearance(gaussians: Gaussians) -> np.ndarray:
@@ -165,7 +165,7 @@ def _projection(rest: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
     mean, square = in_blocks(sums, rest).sum(axis=0) / max(rest.size, 1)
     scale = np.float32(0.7 / (np.sqrt(max(square - mean * mean, 0.0)) + 1e-6))
     sample = rest[:: -(-len(rest) // 4096)].reshape(-1, 3 * rest.shape[1]) * scale
-    basis = scale * np.linalg.svd(sample - sample.mean(axis=0))[2][:6].T
+    basis = scale * principal_axes(sample - sample.mean(axis=0), 6)
     return lambda part: part.reshape(len(part), -1) @ basis
 
 

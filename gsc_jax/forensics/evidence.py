@@ -6,6 +6,7 @@ evidence where no masks exist.
 
 import dataclasses
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 import jax
 import numpy as np
@@ -22,14 +23,10 @@ from gsc_jax.forensics.traces import NEIGHBOURS as TRACE_NEIGHBOURS
 from gsc_jax.forensics.traces import Trace, any_trace, quaternion_convention, sh_degree
 from gsc_jax.scene import Gaussians
 from gsc_jax.scene.gaussians import usable_rows
+from gsc_jax.scene.neighbours import order_of_leaves
 
-TRACES: tuple[Callable[[Gaussians, np.ndarray], Trace], ...] = (
-    copy_move,
-    quantisation,
-    sh_degree,
-    row_order,
-    quaternion_convention,
-)
+LOCAL_TRACES = quantisation, sh_degree, quaternion_convention
+TRACES: tuple[Callable[..., Trace], ...] = (copy_move, *LOCAL_TRACES, row_order)
 """All traces: functions of N Gaussians with finite values and of their neighbours (N, K)."""
 
 
@@ -66,23 +63,32 @@ def forensic_evidence(
     """
     classifier = classifier or default_classifier()
     host = jax.tree.map(np.asarray, gaussians)
-    usable = usable_rows(host)
-    sound = features.with_finite_scales(host if usable.all() else host.take(usable))
-    raw, neighbours = _classified(sound, classifier)
-    known = usable & (len(raw) > 0)
-    output = calibrate(raw, np.asarray(sound.means), known, classifier)
-    traces = [trace(sound, neighbours) for trace in TRACES] if with_traces else []
-    return combine(output, [_expanded(trace, usable) for trace in traces])
-
-
-def _classified(sound: Gaussians, classifier: Classifier) -> tuple[np.ndarray, np.ndarray]:
-    """Raw log odds, (N,), and neighbours, (N, K); both empty for too few Gaussians."""
-    if len(sound) <= features.NEIGHBOURS:
-        return np.zeros(0, np.float32), np.zeros((len(sound), 0), int)
-    computed = features.compute_features(sound)
-    neighbours = computed.neighbourhoods.nearest[:, :TRACE_NEIGHBOURS].copy()
+    rows, known = np.flatnonzero(usable_rows(host)), np.zeros(len(host), bool)
+    # Too few have no surroundings. Neighbours in space are close in memory, which is faster.
+    enough = len(rows) > features.NEIGHBOURS
+    rows = rows[order_of_leaves(host.means[rows])] if enough else rows[:0]
+    known[rows] = True
+    sound, in_file = features.with_finite_scales(host.take(rows)), np.argsort(rows)
     means = np.asarray(sound.means, np.float32)
-    return combined_log_odds(computed, means, classifier), neighbours
+    computed = features.compute_features(sound) if enough else None
+    with ThreadPoolExecutor(1) as beside:
+        found = beside.submit(_traces, sound, computed, in_file) if with_traces else None
+        raw = combined_log_odds(computed, means, classifier) if computed else np.zeros(0)
+        output = calibrate(raw[in_file], means[in_file], known, classifier)
+    return combine(output, [_expanded(trace, known) for trace in (found.result() if found else ())])
+
+
+def _traces(
+    sound: Gaussians, computed: features.Features | None, in_file: np.ndarray
+) -> list[Trace]:
+    """All traces, in the order of the file; none are found without features."""
+    near, duplicates = np.zeros((len(sound), 0), int), None
+    if computed:
+        near, duplicates = computed.neighbourhoods.nearest, computed.duplicates
+        near = near[:, :TRACE_NEIGHBOURS].copy()
+    traces = [copy_move(sound, near, duplicates), *(trace(sound, near) for trace in LOCAL_TRACES)]
+    traces = [dataclasses.replace(trace, score=trace.score[in_file]) for trace in traces]
+    return [*traces, row_order(sound.take(in_file))]
 
 
 def _expanded(trace: Trace, rows: np.ndarray) -> Trace:

@@ -7,17 +7,19 @@ and MAD of the scene, so that the classifier generalises to other scenes.
 """
 
 import dataclasses
+import functools
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
 from gsc_jax.evidence.storage import ArrayStore
-from gsc_jax.forensics.copy_move import APPEARANCE_RADIUS, appearance
+from gsc_jax.forensics.copy_move import APPEARANCE_RADIUS, nearest_duplicates
 from gsc_jax.render.spherical_harmonics import Y0
 from gsc_jax.scene import Gaussians
 from gsc_jax.scene.gaussians import rotation_matrices
-from gsc_jax.scene.neighbours import Neighbourhoods, neighbourhoods, tree_in_order
-from gsc_jax.scene.parallel import in_blocks
+from gsc_jax.scene.neighbours import Neighbourhoods, neighbourhoods
+from gsc_jax.scene.parallel import in_blocks, workers
 from gsc_jax.scene.statistics import median_and_mad
 
 NEIGHBOURS = 16
@@ -29,7 +31,7 @@ MAX_DEVIATION = 6.0
 SURROUNDINGS = ("own", "mean", "spread", "second", "fourth")
 """A number itself, its mean and spread over the neighbours, its means over 2 and 4 steps."""
 COLUMNS_PER_PASS = 8
-"""Columns averaged at once, which bounds the memory of intermediate results."""
+"""Columns averaged at once in a thread, which bounds the memory of intermediate results."""
 MAX_BYTES_IN_MEMORY = 2**28
 """Size of the features in memory; about 350,000 Gaussians."""
 
@@ -44,11 +46,13 @@ class Features:
     Attributes:
         names: Names of the F columns, `group.number.surroundings`.
         neighbourhoods: Neighbours of each Gaussian.
+        duplicates: Most similar other Gaussian of each, or -1, shape (N,).
         store: Arrays (N, columns) by surroundings and pass.
     """
 
     names: tuple[str, ...]
     neighbourhoods: Neighbourhoods
+    duplicates: np.ndarray
     store: ArrayStore
 
     @property
@@ -56,19 +60,18 @@ class Features:
         """All values, shape (N, F) float32."""
         return self.rows(slice(None))
 
-    @property
-    def own(self) -> np.ndarray:
-        """The numbers of the Gaussians themselves, without their surroundings, shape (N, D)."""
-        return self._columns(SURROUNDINGS[:1], slice(None))
+    def own(self) -> Iterator[np.ndarray]:
+        """Yield the numbers of the Gaussians themselves, `COLUMNS_PER_PASS` at a time, (N, D)."""
+        return (self.store.get(SURROUNDINGS[0], str(start)) for start in self._passes)
 
     def rows(self, rows: slice) -> np.ndarray:
         """The values of some Gaussians, shape (M, F) float32."""
-        return self._columns(SURROUNDINGS, rows)
+        stored = ((label, str(start)) for label in SURROUNDINGS for start in self._passes)
+        return np.concatenate([self.store.get(*key)[rows] for key in stored], axis=1)
 
-    def _columns(self, labels: Sequence[str], rows: slice) -> np.ndarray:
-        passes = range(0, len(self.names) // len(SURROUNDINGS), COLUMNS_PER_PASS)
-        parts = [self.store.get(label, str(i))[rows] for label in labels for i in passes]
-        return np.concatenate(parts, axis=1)
+    @property
+    def _passes(self) -> range:
+        return range(0, len(self.names) // len(SURROUNDINGS), COLUMNS_PER_PASS)
 
 
 def with_finite_scales(gaussians: Gaussians) -> Gaussians:
@@ -83,12 +86,16 @@ def compute_features(gaussians: Gaussians) -> Features:
     They are independent of the order of the rows and of position, scale and pose of the scene,
     except those of duplicates, which compare attributes as stored.
     """
-    around = neighbourhoods(np.asarray(gaussians.means, np.float32), NEIGHBOURS)
-    groups = _groups(gaussians, around)
+    with ThreadPoolExecutor(1) as beside:  # the longest search of all
+        duplicates = beside.submit(nearest_duplicates, gaussians)
+        around = neighbourhoods(np.asarray(gaussians.means, np.float32), NEIGHBOURS)
+        groups = _groups(gaussians, around)
+        groups["copies"] = duplicate_closeness(duplicates.result()[0])
     numbers = [f"{name}.{i}" for name, values in groups.items() for i in range(values.shape[1])]
     return Features(
         names=tuple(f"{number}.{label}" for label in SURROUNDINGS for number in numbers),
         neighbourhoods=around,
+        duplicates=duplicates.result()[1],
         store=_with_surroundings(_table(groups), around),
     )
 
@@ -109,17 +116,22 @@ def standardise(values: np.ndarray) -> np.ndarray:
 def _table(groups: dict[str, np.ndarray]) -> np.ndarray:
     """All groups in one table, shape (N, D); removes them from the dictionary to free memory."""
     copies = groups.pop("copies")
-    columns = [standardise(groups.pop(name)) for name in list(groups)]
+    with ThreadPoolExecutor(workers()) as pool:
+        columns = list(pool.map(standardise, [groups.pop(name) for name in list(groups)]))
     return np.concatenate([*columns, copies], axis=1, dtype=np.float32)
 
 
 def _with_surroundings(own: np.ndarray, around: Neighbourhoods) -> ArrayStore:
     """Numbers (N, D) with their `SURROUNDINGS`, some columns at a time."""
     store = ArrayStore(max_bytes=MAX_BYTES_IN_MEMORY)
-    for start in range(0, own.shape[1], COLUMNS_PER_PASS):
+
+    def put(start: int) -> None:
         statistics = _statistics(own[:, start : start + COLUMNS_PER_PASS], around)
         for label, statistic in zip(SURROUNDINGS, statistics, strict=True):
             store.put(label, str(start), statistic)
+
+    with ThreadPoolExecutor(workers()) as pool:
+        list(pool.map(put, range(0, own.shape[1], COLUMNS_PER_PASS)))
     return store
 
 
@@ -146,7 +158,6 @@ def _groups(gaussians: Gaussians, around: Neighbourhoods) -> dict[str, np.ndarra
         "opacity": np.clip(np.asarray(gaussians.logit_opacities), -7, 7)[:, None],
         **_colour_groups(np.asarray(gaussians.sh), around),
         **_direction_groups(gaussians, around),
-        "copies": duplicate_closeness(gaussians),
     }
 
 
@@ -194,7 +205,7 @@ def _direction_groups(gaussians: Gaussians, around: Neighbourhoods) -> dict[str,
     rows = np.arange(len(logs))
     shortest, longest = axes[rows, :, logs.argmin(axis=1)], axes[rows, :, logs.argmax(axis=1)]
     means = np.asarray(gaussians.means, np.float32)
-    covariance = in_blocks(lambda nearest: _covariance(means[nearest]), around.nearest)
+    covariance = in_blocks(functools.partial(_covariance, means.T.copy()), around.nearest)
     squared = np.einsum("nij,nij->n", covariance, covariance)
     volume = np.log(np.maximum(np.linalg.det(covariance), 1e-9))
     along = [np.einsum("ni,nij,nj->n", axis, covariance, axis) for axis in (shortest, longest)]
@@ -205,10 +216,15 @@ def _direction_groups(gaussians: Gaussians, around: Neighbourhoods) -> dict[str,
     }
 
 
-def _covariance(points: np.ndarray) -> np.ndarray:
-    """Covariance of K points each, (N, K, 3), scaled to a trace of 1, shape (N, 3, 3)."""
-    offsets = points - points.mean(axis=1, keepdims=True)
-    covariance = np.einsum("nki,nkj->nij", offsets, offsets) / offsets.shape[1]
+def _covariance(columns: np.ndarray, nearest: np.ndarray) -> np.ndarray:
+    """Covariance, scaled to a trace of 1, of K points each, whose rows are given (N, K), (N, 3, 3).
+
+    `columns` are the coordinates, (3, points).
+    """
+    near = [column[nearest] for column in columns]
+    offsets = [values - values.mean(axis=1, keepdims=True) for values in near]
+    sums = [np.einsum("nk,nk->n", one, other) for one in offsets for other in offsets]
+    covariance = np.stack(sums, axis=1).reshape(-1, 3, 3) / nearest.shape[1]
     return covariance / (np.trace(covariance, axis1=1, axis2=2) + 1e-30)[:, None, None]
 
 
@@ -219,31 +235,7 @@ def _agreement(axis: np.ndarray, around: Neighbourhoods) -> np.ndarray:
     return ((around.mean @ products) * products).sum(axis=1)
 
 
-def duplicate_closeness(gaussians: Gaussians) -> np.ndarray:
-    """Closeness in [0, 1] of the most similar other Gaussian, and whether it is above 0, (N, 2)."""
-    described = appearance(gaussians)
-    # A KDTree degenerates where many points are equal.
-    _, first, which, counts = np.unique(
-        _row_hashes(described), return_index=True, return_inverse=True, return_counts=True
-    )
-    distinct = described[first]
-    distances = np.zeros(len(distinct))
-    if len(distinct) > 1:
-        tree, order = tree_in_order(distinct)
-        bound = {"distance_upper_bound": APPEARANCE_RADIUS, "workers": -1}
-        distances[order] = tree.query(tree.data, k=2, **bound)[0][:, 1]
-        distances[counts > 1] = 0.0
-    close = 1 - np.minimum(distances, APPEARANCE_RADIUS)[which] / APPEARANCE_RADIUS
+def duplicate_closeness(distances: np.ndarray) -> np.ndarray:
+    """Closeness in [0, 1] at distances (N,) to duplicates, and whether it is above 0, (N, 2)."""
+    close = 1 - np.minimum(distances, APPEARANCE_RADIUS) / APPEARANCE_RADIUS
     return np.column_stack([close, close > 0]).astype(np.float32)
-
-
-def _row_hashes(rows: np.ndarray) -> np.ndarray:
-    """Hash of each row, equal for equal rows, shape (N,) uint64."""
-    rng = np.random.default_rng(0)
-    keys = rng.integers(1, 2**63, rows.shape[1], dtype=np.uint64) | np.uint64(1)
-
-    def hashes(part: np.ndarray) -> np.ndarray:
-        bits = (part.astype(np.float32) + 0.0).view(np.uint32)  # -0 and 0 are equal
-        return (bits.astype(np.uint64) * keys).sum(axis=1, dtype=np.uint64)
-
-    return in_blocks(hashes, rows)

@@ -5,14 +5,16 @@ trained, is similar to itself only: the places with the nearest statistics lie b
 trained for this number, so that it holds for sources that no training data have.
 """
 
+import functools
 from collections.abc import Iterator, Sequence
-from typing import Any
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
 from gsc_jax.forensics.features import NEIGHBOURS, Features, in_group
-from gsc_jax.scene.neighbours import neighbourhoods, parts, tree_in_order
-from gsc_jax.scene.parallel import WORKERS
+from gsc_jax.scene.neighbours import neighbourhoods, parts
+from gsc_jax.scene.parallel import workers
+from gsc_jax.scene.statistics import principal_axes
 
 GROUPS = (
     ("size", "anisotropy", "spacing", "opacity"),
@@ -40,36 +42,34 @@ def novelty(features: Features, means: np.ndarray) -> np.ndarray:
 
     Gaussians of one place have the same; 0 where a scene has too few places to compare.
     """
-    from scipy.sparse import csr_array
-
-    places = parts(means, max(PLACE, -(-2 * len(means) // MAX_PLACES)))
+    rows, starts = parts(means, max(PLACE, -(-2 * len(means) // MAX_PLACES)))
     result = np.zeros(len(means), np.float32)
-    if len(places) <= 2 * NEIGHBOURS:
+    if len(starts) <= 2 * NEIGHBOURS:
         return result
-    rows, sizes = np.concatenate(places), np.array([len(place) for place in places])
-    owner = np.repeat(np.arange(len(places)), sizes)
-    mean = csr_array((1 / sizes[owner], (owner, rows)), shape=(len(places), len(means)))
-    centers = mean @ means
+    sizes = np.diff(starts, append=len(rows))
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        return np.add.reduceat(values[rows], starts) / sizes[:, None]
+
+    centers = mean(means)
     around = neighbourhoods(centers.astype(np.float32), NEIGHBOURS)
-    own = features.own
-    compared = [
-        _novelty(statistics, centers)
-        for statistics in _statistics(around.mean @ mean, own, features.names[: own.shape[1]])
-    ]
-    result[rows] = (around.mean @ np.mean(compared, axis=0))[owner]
+    # Some columns at a time, since all of them take as much memory as the scene.
+    moments = [np.stack([mean(own), mean(own * own)]) for own in features.own()]
+    first, square = (around.mean @ values for values in np.concatenate(moments, axis=2))
+    spread = np.sqrt(np.maximum(square - first**2, 0))
+    names = features.names[: first.shape[1]]
+    apart = functools.partial(_novelty, centers=centers, radius=_surroundings(centers))
+    with ThreadPoolExecutor(workers()) as pool:
+        compared = list(pool.map(apart, _statistics(first, spread, names)))
+    result[rows] = np.repeat(around.mean @ np.mean(compared, axis=0), sizes)
     return result
 
 
-def _statistics(mean: Any, own: np.ndarray, names: Sequence[str]) -> Iterator[np.ndarray]:
-    """Yield for each group mean and spread of its numbers (N, D) around each place, standardised.
-
-    `mean` is the sparse matrix (P, N) that averages over the surroundings of a place.
-    """
-    first = mean @ own
-    spread = np.sqrt(np.maximum(mean @ (own * own) - first**2, 0))
+def _statistics(mean: np.ndarray, spread: np.ndarray, names: Sequence[str]) -> Iterator[np.ndarray]:
+    """Yield mean and spread (P, D) of the numbers around each place by group, standardised."""
     for groups in (*GROUPS, sum(GROUPS, ())):
         columns = np.any([in_group(names, group) for group in groups], axis=0)
-        values = np.column_stack([first[:, columns], spread[:, columns]])
+        values = np.column_stack([mean[:, columns], spread[:, columns]])
         yield (values - values.mean(axis=0)) / (values.std(axis=0) + 1e-3)
 
 
@@ -81,18 +81,17 @@ def _surroundings(centers: np.ndarray) -> np.ndarray:
     return np.quantile(cdist(centers, some), NEARBY_SHARE, axis=1)[:, None]
 
 
-def _novelty(statistics: np.ndarray, centers: np.ndarray) -> np.ndarray:
-    """Novelty of places by their statistics (P, D) and centres (P, 3), shape (P,).
+def _novelty(statistics: np.ndarray, centers: np.ndarray, radius: np.ndarray) -> np.ndarray:
+    """Novelty of places by their statistics (P, D), centres (P, 3) and surroundings, shape (P,).
 
     The distance to the most similar place elsewhere, and how many of the `CANDIDATES` are nearby.
     """
-    _, _, axes = np.linalg.svd(statistics, full_matrices=False)
-    described = (statistics @ axes[:COMPONENTS].T).astype(np.float32)
-    tree, order = tree_in_order(described)
-    found = tree.query(tree.data, k=min(CANDIDATES, len(centers)), workers=WORKERS)
-    distances, candidates = found[0][np.argsort(order)], order[found[1][np.argsort(order)]]
-    apart = np.linalg.norm(centers[candidates] - centers[:, None], axis=2)
-    elsewhere = apart > _surroundings(centers)
+    from scipy.spatial import KDTree
+
+    described = (statistics @ principal_axes(statistics, COMPONENTS)).astype(np.float32)
+    count = min(CANDIDATES, len(centers))
+    distances, candidates = KDTree(described).query(described, k=count)
+    elsewhere = np.linalg.norm(centers[candidates] - centers[:, None], axis=2) > radius
     first = np.where(elsewhere.any(axis=1), elsewhere.argmax(axis=1), -1)
     distance = distances[np.arange(len(centers)), first]
     ratio = np.log(distance / (np.median(distance) + 1e-12) + 1e-3)

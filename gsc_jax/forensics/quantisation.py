@@ -136,9 +136,12 @@ def _excess(pairs: np.ndarray, bins: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 def _leading_vectors(excess: np.ndarray) -> np.ndarray:
     """Eigenvectors of at most four eigenvalues that indicate further sets, shape (L, D)."""
-    from scipy.linalg import eigh
+    from scipy.sparse.linalg import eigsh
 
-    return eigh(excess, subset_by_value=(MIN_EIGENVALUE, np.inf))[1][:, -4:]
+    start = np.random.default_rng(0).normal(size=len(excess))
+    # Of a matrix of zeros, ARPACK finds no vectors, of the identity it does.
+    values, vectors = eigsh(excess + np.eye(len(excess)), 4, which="LA", v0=start)
+    return vectors[:, np.argsort(values)][:, np.sort(values) > 1 + MIN_EIGENVALUE]
 
 
 def _farthest_points(places: np.ndarray, weights: np.ndarray) -> np.ndarray:

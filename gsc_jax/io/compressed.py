@@ -1,4 +1,4 @@
-"""Compressed scenes, decoded by `gsply` (the extra `formats`).
+"""Compressed scenes, decoded by `gsply` (the extra `formats`), and those of web viewers.
 
 PlayCanvas `.compressed.ply`, `.spz` and `.sog` are read as the Gaussians that they quantise, in the
 axes in which they are stored. Some writers of .spz rotate a scene to y-up axes; the cameras of the
@@ -19,12 +19,14 @@ import numpy as np
 from gsc_jax.io.files import check_allocation
 from gsc_jax.io.tables import BYTES_PER_CHARACTER
 from gsc_jax.io.validation import brief, shown
+from gsc_jax.io.web_formats import read_glb, read_splat
 from gsc_jax.scene import Gaussians, InputError
 
 if TYPE_CHECKING:
     from plyfile import PlyData
 
-SUFFIXES = (".spz", ".sog", ".splat", ".ksplat")
+READERS = {".splat": read_splat, ".glb": read_glb}
+SUFFIXES = (".spz", ".sog", ".ksplat", *READERS)
 """Suffixes of compressed scenes that are not PLY files."""
 CHUNK_ROWS = 256
 CHUNK_BYTES, VERTEX_BYTES, SH_BYTES = 18 * 4, 4 * 4, (9, 24, 45)
@@ -45,35 +47,41 @@ BLOCK_BYTES = 2**20
 
 
 def read_compressed(path: Path, max_bytes: int | None = None) -> Gaussians:
-    """Read all Gaussians of a .spz or .sog file or a PlayCanvas .compressed.ply, NumPy float32.
+    """Read all Gaussians of a file of `SUFFIXES` or a PlayCanvas .compressed.ply, NumPy float32.
 
     What a file expands to is compared with `max_bytes` before it is allocated. InputError if it is
-    more, or if gsply is not installed, does not know the format, or finds the file damaged.
+    more, the file is damaged or of an unknown version, or gsply is needed and not installed.
     """
     kind = path.suffix.lower()
-    if kind in (".splat", ".ksplat"):
-        raise InputError(f"{path}: {kind} files are not supported; {_conversion(path)}")
+    if kind == ".ksplat":
+        raise InputError(f"{path}: .ksplat files are not supported; {_conversion(path)}")
+    check_allocation(path, BYTES_PER_BYTE * path.stat().st_size, max_bytes)
+    gsply = None if kind in READERS else _gsply(path)
     try:
-        gsply = importlib.import_module("gsply")
-    except ImportError as error:
-        raise InputError(
-            f"{path}: compressed scenes need gsply: pip install 'gsc_jax[formats]', "
-            f"or {_conversion(path)}"
-        ) from error
-    try:
+        if gsply is None:
+            return READERS[kind](path, max_bytes)
         if kind == ".spz":
             _check_spz(path, max_bytes)
             return from_gsply(gsply.read_spz(path))
         if kind == ".sog":
             _check_sog(path, max_bytes)
             return from_gsply(gsply.sogread(path))
-        check_allocation(path, BYTES_PER_BYTE * path.stat().st_size, max_bytes)
         return from_gsply(gsply.decompress_from_bytes(path.read_bytes()))
     except InputError:
         raise
     except Exception as error:  # a decoder may raise anything on damaged bytes
-        reason = brief(error)
-        raise InputError(f"{path}: gsply cannot read it ({reason}); {_conversion(path)}") from error
+        text = f"{path}: damaged or unknown ({brief(error)}); {_conversion(path)}"
+        raise InputError(text) from error
+
+
+def _gsply(path: Path) -> Any:
+    try:
+        return importlib.import_module("gsply")
+    except ImportError as error:
+        raise InputError(
+            f"{path}: compressed scenes need gsply: pip install 'gsc_jax[formats]', "
+            f"or {_conversion(path)}"
+        ) from error
 
 
 def is_compressed_ply(ply: "PlyData", path: Path) -> bool:

@@ -48,7 +48,7 @@ def decode(vertex: "PlyElement", path: Path) -> Gaussians:
         means=_columns(vertex, POSITION),
         log_scales=log_scales,
         quats=_columns(vertex, ROTATION),
-        logit_opacities=_columns(vertex, ("opacity",))[:, 0],
+        logit_opacities=_columns(vertex, ("opacity",)).ravel(),
         sh=np.concatenate(bands, axis=1),
     )
 

@@ -33,6 +33,7 @@ TRANSPARENT_LEVEL = {"1": 1 / 255, "L;2": 85, "L;4": 17, "RGB;16B": 1 / 256}
 MIN_IS_WHITE = (262, 0)
 """TIFF tag and value of inverted levels, which Pillow ignores for 16 bits."""
 _OPENING = threading.Lock()
+JPEG_QUALITY = 90
 BYTES_PER_PIXEL = 32
 """Memory of a coloured mask while it is reduced to one channel and resized, with 8 bytes each."""
 MAX_PART_BYTES, MAX_NAME_BYTES = 240, 1000
@@ -108,10 +109,11 @@ def write_mask(path: str | Path, mask: np.ndarray) -> None:
 
 
 def write_image(path: str | Path, rgb: np.ndarray) -> None:
-    """Write a colour image, clipped to [0, 1], shape (H, W, 3), as 8-bit PNG."""
+    """Write a colour image, clipped to [0, 1], shape (H, W, 3), as 8-bit .png or as .jpg."""
     from skimage.util import img_as_ubyte
 
-    _write(path, img_as_ubyte(np.clip(np.asarray(rgb, np.float32), 0, 1)))
+    kind = "JPEG" if Path(path).suffix == ".jpg" else "PNG"
+    _write(path, img_as_ubyte(np.clip(np.asarray(rgb, np.float32), 0, 1)), kind)
 
 
 def image_path(folder: str | Path, name: str) -> Path:
@@ -212,8 +214,9 @@ def _grey(pixels: np.ndarray, path: Path) -> np.ndarray:
     return np.asarray(grey, np.uint8)
 
 
-def _write(path: str | Path, pixels: np.ndarray) -> None:
+def _write(path: str | Path, pixels: np.ndarray, kind: str = "PNG") -> None:
     from PIL import Image
 
     with atomic(path) as temporary:
-        Image.fromarray(pixels).save(temporary, format="PNG")
+        # For a JPEG: without colour subsampling, which blurs outlines.
+        Image.fromarray(pixels).save(temporary, kind, quality=JPEG_QUALITY, subsampling=0)

@@ -20,7 +20,7 @@ import numpy as np
 from gsc_jax.io import compressed
 from gsc_jax.io.files import atomic, check_allocation, existing_file
 from gsc_jax.io.layout import REST_COUNTS, checked_scores, decode, encode
-from gsc_jax.io.validation import brief
+from gsc_jax.io.validation import brief, shown
 from gsc_jax.scene import Array, Gaussians, InputError, invalid_rows
 from gsc_jax.scene.gaussians import usable_rows
 from gsc_jax.scene.parallel import blocks
@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
 LUMA = np.array([0.299, 0.587, 0.114])
 """Weights of red, green and blue in the luminance (ITU-R BT.601)."""
+PACKED = {b"\x1f\x8b": "gunzip", b"PK": "unzip", b"BZh": "bunzip2", b"\xfd7zXZ": "unxz"}
+"""Program that unpacks a compressed file, by the first bytes of the file."""
 MAX_HEADER_BYTES = 2**16
 """Headers of scenes have 2 kB; plyfile would search the whole file for the end of one."""
 BYTES_PER_BYTE, BYTES_PER_NUMBER, BYTES_PER_LIST = 3, 8, 160
@@ -82,11 +84,11 @@ def read_ply(path: str | Path, *, max_bytes: int | None = None) -> PlyScene:
     """Read a scene with the whole content of its file.
 
     Supported are the INRIA, gsplat, SuperSplat, GS-Checker and 2DGS layouts of degree 0 to 3, and
-    compressed scenes through `gsc_jax.io.compressed`. The file may be overwritten afterwards. Ascii
+    the other formats of `gsc_jax.io.compressed`. The file may be overwritten afterwards. Ascii
     is slow: more than a minute per million Gaussians.
 
     Args:
-        path: A .ply, .compressed.ply, .spz or .sog file.
+        path: A .ply, .compressed.ply, .spz, .sog, .splat or .glb file.
         max_bytes: Memory that may be allocated; see `memory_limit` for the default.
 
     Returns:
@@ -109,7 +111,7 @@ def load_ply(path: str | Path, *, max_bytes: int | None = None) -> Gaussians:
     """Read the Gaussians of a scene and warn in one line if rows were left out.
 
     Args:
-        path: A .ply, .compressed.ply, .spz or .sog file.
+        path: A .ply, .compressed.ply, .spz, .sog, .splat or .glb file.
         max_bytes: Memory that may be allocated; see `memory_limit` for the default.
 
     Returns:
@@ -213,10 +215,12 @@ def _check_header(path: Path, max_bytes: int | None) -> None:
     size = path.stat().st_size
     with path.open("rb") as file:
         header, end, _ = file.read(MAX_HEADER_BYTES).partition(b"end_header")
+    if tool := next((tool for magic, tool in PACKED.items() if header.startswith(magic)), None):
+        raise InputError(f"{path}: is packed; unpack it first: {tool} {shown(path.name)}")
     if not header.startswith(b"ply") or not end:
         raise ValueError(f"no header from ply to end_header in its first {MAX_HEADER_BYTES} bytes")
     needed, rows = BYTES_PER_BYTE * size, 0
-    number = BYTES_PER_NUMBER if b"ascii" in header.split()[1:3] else 0
+    number = BYTES_PER_NUMBER if header.split()[1:3] == [b"format", b"ascii"] else 0
     for words in map(bytes.split, header.splitlines()):
         if words[:1] == [b"element"]:
             rows = int(words[-1])

@@ -8,6 +8,7 @@ NumPy 2 sorts with vector instructions. Sorting by tile is a counting sort: the 
 transpose of a sparse matrix of splats and tiles.
 """
 
+import contextlib
 import dataclasses
 import math
 from typing import NamedTuple
@@ -71,7 +72,7 @@ def make_view(
 
     Args:
         gaussians: N Gaussians, which `jax.grad` may trace, but not `jax.jit`: the length of the
-            lists depends on the data.
+            lists depends on the data. Within `jax.jit`, those from outside become constants.
         camera: Pose, intrinsics and image size.
         near: Near plane in world units.
         lockstep: Tiles in a group; default all on an accelerator, at most 128 on a CPU.
@@ -83,7 +84,9 @@ def make_view(
         InputError: if there are more than 2^28 intersections of splats and tiles.
         ValueError: if a shape, the near plane or `lockstep` is invalid.
     """
-    return bin_view(project(gaussians, camera, near=near), camera, lockstep=lockstep)
+    traced = any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((gaussians, camera, near)))
+    with contextlib.nullcontext() if traced else jax.ensure_compile_time_eval():
+        return bin_view(project(gaussians, camera, near=near), camera, lockstep=lockstep)
 
 
 def bin_view(splats: Splats, camera: Camera, *, lockstep: int | None = None) -> View:

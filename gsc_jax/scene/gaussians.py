@@ -18,6 +18,8 @@ MAX_LOG_SCALE = 40.0
 MAX_MAGNITUDE = 1e9
 """Positions and colours beyond this are damaged, far outside any scene; their squares are still
 below the largest float32, 3e38."""
+MAX_FILLED = 2**20
+"""Largest scene that `filled_up` copies: beyond it, a copy costs more than a compilation."""
 IDENTITY_QUATERNION = np.array([1, 0, 0, 0], np.float32)
 
 
@@ -72,6 +74,22 @@ class Gaussians:
     def take(self, rows: Array) -> "Gaussians":
         """Select rows by indices or by a boolean mask."""
         return jax.tree.map(lambda leaf: leaf[rows], self)
+
+
+def transparent_rows(count: int) -> int:
+    """Rows that fill up a scene to one of four sizes an octave, for each of which JAX compiles."""
+    return -count % (1 << max(count.bit_length() - 3, 0)) if count <= MAX_FILLED else 0
+
+
+def filled_up(gaussians: Gaussians) -> Gaussians:
+    """The scene with `transparent_rows` at its end, which no view shows."""
+    count, more = len(gaussians), transparent_rows(len(gaussians))
+    if not more:
+        return gaussians
+    # In NumPy, since JAX would compile for each number of rows.
+    filled = jax.tree.map(lambda x: np.pad(x, ((0, more), *[(0, 0)] * (x.ndim - 1))), gaussians)
+    filled.logit_opacities[count:] = -np.inf
+    return jax.device_put(filled)
 
 
 def check_shapes(gaussians: Gaussians) -> None:

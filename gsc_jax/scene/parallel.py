@@ -1,8 +1,6 @@
-"""Apply a function to views in threads or to rows in blocks, with a bound on memory.
+"""Apply a function to views in threads or to rows in blocks, with a bound on memory."""
 
-NumPy and XLA release the interpreter lock while they compute, so two threads use two cores.
-"""
-
+import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
@@ -15,10 +13,13 @@ import numpy as np
 Item = TypeVar("Item")
 Value = TypeVar("Value")
 
-WORKERS = 2
-"""Threads for a device: more of them only cost memory, since XLA has its own threads."""
-BLOCK = 2**18
-"""Rows per call of `in_blocks`: their intermediate results take a few hundred megabytes at most."""
+BLOCK = 2**16
+"""Rows per block: their intermediate results take a hundred megabytes at most."""
+
+
+def workers() -> int:
+    """Threads for a device: one for each core while NumPy and XLA compute, at most two."""
+    return min(2, len(os.sched_getaffinity(0))) if hasattr(os, "sched_getaffinity") else 2
 
 
 def view_threads() -> ThreadPoolExecutor:
@@ -29,17 +30,17 @@ def view_threads() -> ThreadPoolExecutor:
         if jax.local_device_count() > 1:  # with one, programs are shared with the main thread
             jax.default_device(next(devices)).__enter__()  # it ends with the thread
 
-    return ThreadPoolExecutor(WORKERS * jax.local_device_count(), initializer=start)
+    return ThreadPoolExecutor(workers() * jax.local_device_count(), initializer=start)
 
 
 def bounded_map(
     pool: Executor, function: Callable[[Item], Value], items: Iterable[Item]
 ) -> Iterator[Value]:
-    """Map in the threads of a pool, in order, with at most `WORKERS` items a device in flight."""
+    """Map in the threads of a pool, in order, with at most `workers` items a device in flight."""
     waiting: deque[Future[Value]] = deque()
     for item in items:
         waiting.append(pool.submit(function, item))
-        if len(waiting) == WORKERS * jax.local_device_count():
+        if len(waiting) == workers() * jax.local_device_count():
             yield waiting.popleft().result()
     while waiting:
         yield waiting.popleft().result()
@@ -47,7 +48,9 @@ def bounded_map(
 
 def in_blocks(function: Callable[[np.ndarray], np.ndarray], rows: np.ndarray) -> np.ndarray:
     """Apply a function of each row on its own to blocks of rows, and concatenate the results."""
-    return np.concatenate([function(rows[block]) for block in blocks(max(len(rows), 1))])
+    with ThreadPoolExecutor(workers()) as pool:
+        parts = pool.map(lambda block: function(rows[block]), blocks(max(len(rows), 1)))
+        return np.concatenate(list(parts))
 
 
 def blocks(count: int, size: int = BLOCK) -> list[slice]:

@@ -25,14 +25,6 @@ def test_worked_by_hand():
     assert counts.iou == pytest.approx(2 / 5, abs=1e-7)
 
 
-def test_weights_count_instead_of_entries():
-    prediction, truth = np.array([1, 1, 0, 0], bool), np.array([1, 0, 1, 0], bool)
-    opacities = np.array([0.9, 0.1, 0.3, 0.5], np.float32)
-    counts = metrics.confusion(prediction, truth, weights=opacities)
-    np.testing.assert_allclose(counts, [0.9, 0.1, 0.3, 0.5], rtol=1e-6)
-    assert metrics.confusion(prediction, truth, weights=opacities).f1 == pytest.approx(1.8 / 2.2)
-
-
 def test_threshold_is_strict():
     assert metrics.confusion(np.array([0.5, 0.51]), np.array([1.0, 1.0])) == (1, 0, 1, 0)
 
@@ -67,12 +59,6 @@ def test_without_tampered_views_the_means_are_nan():
     scores = metrics.mean_over_tampered_views([PREDICTION], [np.zeros((2, 3), bool)])
     assert scores.views.size == 0
     assert np.isnan([scores.f1, scores.iou, scores.precision, scores.recall]).all()
-
-
-def test_false_positive_area_is_a_share_per_view():
-    areas = metrics.false_positive_area([PREDICTION, np.array([[0.4, 0.6]])])
-    np.testing.assert_allclose(areas, [0.5, 0.5])
-    assert metrics.false_positive_area([]).shape == (0,)
 
 
 @given(

@@ -97,7 +97,7 @@ def test_invalid_arguments_are_refused():
         simulate(TRUTH[0], seed=0, failures=Failures())
     with pytest.raises(ValueError, match="needs the masks of a decoy"):
         simulate(TRUTH, seed=0, failures=Failures(decoy=0.5))
-    with pytest.raises(ValueError, match=r"misses is a share of the views, got 1\.5"):
+    with pytest.raises(ValueError, match=r"misses must be in \[0, 1\], got 1\.5"):
         Failures(misses=1.5)
 
 

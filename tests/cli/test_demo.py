@@ -26,7 +26,7 @@ COUNT, VIEWS, HELDOUT = 6_000, 6, 2
 def finished(tmp_path_factory):
     out = tmp_path_factory.mktemp("demo")
     made = tampered_room(seed=1, count=COUNT, views=VIEWS, heldout=HELDOUT, width=96, height=72)
-    return out, demo.run_demo(Demo(out=out, seed=1), made=made)
+    return out, demo.run_demo(Demo(out=out, seed=1), made=made)[0]
 
 
 def test_the_input_files_hold_the_scene(finished):

@@ -12,7 +12,7 @@ from cli_case import BROKEN, COUNT, FIXTURES, NAMES, contents, given, refused, r
 from plyfile import PlyData
 
 from gsc_jax.benchmark.metrics import confusion
-from gsc_jax.cli.pictures import jpeg_path
+from gsc_jax.cli.pictures import layer_path
 from gsc_jax.cli.staging import BY_CAMERA, EVALUATION_MARK, FILES
 from gsc_jax.io.masks import image_path, read_probability, write_mask
 
@@ -41,7 +41,7 @@ def test_the_folder_holds_the_documented_files_and_no_others(found):
     expected = set(FILES)
     for name in NAMES:
         expected |= {f"{kind}/{name}.png" for kind in ("masks", "detector")}
-        expected |= {jpeg_path(kind, name).as_posix() for kind in ("render", "overlay")}
+        expected |= {layer_path("", kind, name).as_posix() for kind in ("render", "overlay")}
     files = contents(out).keys()
     assert files == expected
     assert [path for path in out.iterdir() if path.name.startswith(".")] == []
@@ -98,7 +98,7 @@ def test_images_have_the_size_of_the_views(case, found):
         assert (final.shape, final.dtype) == ((40, 48), np.dtype(np.uint8))
         assert set(np.unique(final)) == {0, 255}
         for kind in ("render", "overlay"):
-            assert iio.imread(jpeg_path(out / kind, name)).shape == (40, 48, 3)
+            assert iio.imread(layer_path(out, kind, name)).shape == (40, 48, 3)
         np.testing.assert_array_equal(
             read_probability(image_path(out / "detector", name)),
             read_probability(image_path(case / "masks", name)),

@@ -1,5 +1,6 @@
 """Progress bars."""
 
+import contextlib
 import io
 
 from gsc_jax.cli.progress import Bars
@@ -12,7 +13,7 @@ class Terminal(io.StringIO):
 
 def test_bars_show_every_stage_on_a_terminal_only():
     for stream, drawn in ((Terminal(), True), (io.StringIO(), False)):
-        with Bars(stream) as bars:
+        with contextlib.closing(Bars(stream)) as bars:
             for done in range(3):
                 bars("views", done, 2)
             bars("masks", 1, 1)
@@ -26,7 +27,7 @@ def test_the_rate_excludes_views_that_were_done_before_the_bar_began(monkeypatch
     monkeypatch.setattr("tqdm.std.time", lambda: now[0])
     stream = Terminal()
     monkeypatch.setenv("COLUMNS", "100")
-    with Bars(stream) as bars:
+    with contextlib.closing(Bars(stream)) as bars:
         for done in range(1, 5):
             bars("views", done, 10)
             now[0] += 8.0

@@ -8,6 +8,8 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 from cli_case import FIXTURES, NAMES, contents, given, refused, run
+from strategies import random_scene
+from web_files import WRITERS
 
 from gsc_jax.io.cameras import load_cameras, save_cameras
 from gsc_jax.io.masks import image_path, write_mask
@@ -37,6 +39,17 @@ def test_without_cameras_an_orbit_is_created_and_written(case, tmp_path):
         write_mask(tmp_path / "masks" / f"{camera.name}.png", np.ones((48, 64), bool))
     argv = given(case, cameras=views / "cameras.json", masks=tmp_path / "masks")
     assert run(*argv, "--out", tmp_path / "out").code == 0
+
+
+@pytest.mark.parametrize(("name", "up"), [("s.GLB", 1), ("s.splat", -1)])
+def test_the_orbit_of_a_glb_has_y_upwards(tmp_path, name, up):
+    write = WRITERS[f".{name.lower().split('.')[1]}"]
+    scene = write(tmp_path / name, random_scene(50))
+    answer = run("render", scene, "--out", tmp_path / "views", "--views", 3, "--scale", 0.1)
+    assert answer.code == 0
+    cameras = load_cameras(tmp_path / "views" / "cameras.json")
+    assert all(up * -camera.viewmat[1, 1] > 0 for camera in cameras), "the scene is upside down"
+    assert f"{'+' if up > 0 else '-'}y up" in answer.err
 
 
 def test_the_cameras_of_the_training_are_never_replaced(case, tmp_path):

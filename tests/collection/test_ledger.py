@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gsc_jax.collection.ledger import Ledger
+from gsc_jax.collection.worker import Ledger
 
 CLAIMS = st.lists(st.tuples(st.sampled_from("abc"), st.sampled_from("123")), max_size=30)
 

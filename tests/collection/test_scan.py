@@ -26,7 +26,7 @@ pytest.importorskip("ray.data", reason="needs the extra `cluster`")
 import ray
 import ray.data
 
-from gsc_jax.collection import ScanSettings, scan
+from gsc_jax.collection import ScanSettings, scan, worker
 from gsc_jax.collection.judge import result_digest
 
 pytestmark = [
@@ -168,11 +168,11 @@ def test_a_scene_beyond_the_timeout_is_a_row_and_is_tried_again_later(tmp_path):
 
 
 def processes() -> set[int]:
-    """Ids of the processes in which workers judge scenes."""
+    """Ids of the processes in which workers judge scenes, from their start on."""
     found = set()
     for place in Path("/proc").glob("[0-9]*/cmdline"):
         with contextlib.suppress(OSError):
-            if b"gsc_jax.collection.process import serve" in place.read_bytes():
+            if b"ray::_Judge" in place.read_bytes():
                 found.add(int(place.parent.name))
     return found
 
@@ -247,6 +247,27 @@ def test_a_scan_is_a_stage_of_a_pipeline(tmp_path):
     assert rows["x"]["gaussians"] == COUNT
     assert rows["y"]["error_class"] == "FileNotFoundError"
     assert str(tmp_path / "missing.ply") in rows["y"]["error"]
+
+
+def test_a_process_is_replaced_before_what_libraries_keep_adds_up(tmp_path, monkeypatch):
+    monkeypatch.setattr(worker, "MAX_SCENES", 2)
+    path = scene(tmp_path / "a.ply", 0)
+    ledger = ray.remote(worker.Ledger).options(num_cpus=0).remote({})
+    judge, used, rows = worker.SceneWorker(ScanSettings(), "", ledger), [], []
+    others = processes()
+    for _ in range(4):
+        rows.append(judge._judged_once({"scene": path, "out": tmp_path / "out"}, None))
+        used.append(judge._judge)
+    assert used[0] is not None
+    assert used[1] is None
+    assert used[2] not in (None, used[0])
+    assert used[3] is None
+    assert len({row["result_sha256"] for row in rows}) == 1
+    used.clear()
+    end = time.monotonic() + SECONDS
+    while processes() - others and time.monotonic() < end:
+        time.sleep(0.1)
+    assert not processes() - others, "a process that was replaced goes on"
 
 
 def test_an_address_is_downloaded(tmp_path):

@@ -1,4 +1,4 @@
-"""The figures of the README equal those of docs/results.md."""
+"""The figures of the README equal those of the pages of results."""
 
 import re
 from pathlib import Path
@@ -7,7 +7,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-RESULTS = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
+DOCS = ROOT / "docs"
 NAMES = {
     "`robust`": "robust",
     "FlashSplat": "FlashSplat",
@@ -22,9 +22,10 @@ def cells(text: str, first: str) -> list[str]:
     return [cell.strip() for cell in row.split("|")]
 
 
-def table(heading: str) -> str:
-    """First table of the results after a text."""
-    below = RESULTS[RESULTS.index(heading) :]
+def table(page: str, heading: str) -> str:
+    """First table of a page after a text."""
+    text = (DOCS / page).read_text(encoding="utf-8")
+    below = text[text.index(heading) :]
     return re.search(r"(^\|.*\n)+", below, flags=re.MULTILINE)[0]  # type: ignore[index]
 
 
@@ -35,12 +36,13 @@ def means(row: list[str]) -> list[float]:
 @pytest.mark.parametrize("name", NAMES)
 def test_f1_by_method(name):
     failures = "| method | clean | boundary | misses | blobs | consistent | inverted | mixture |"
-    row = means(cells(table(failures), NAMES[name]))
+    row = means(cells(table("results-paper.md", failures), NAMES[name]))
     quoted = [float(cell) for cell in cells(README, name)]
     assert quoted == [row[0], row[-1], min(row[:-1])]
 
 
 @pytest.mark.parametrize("metric", ["AUC", "F1"])
 def test_scores_without_a_detector(metric):
-    row = means(cells(table(f"**{metric} per Gaussian by regime**"), "no masks"))[:3]
+    regimes = table("results-attributes.md", f"**{metric} per Gaussian by regime**")
+    row = means(cells(regimes, "no masks"))[:3]
     assert [float(cell) for cell in cells(README, f"{metric} per Gaussian")] == row

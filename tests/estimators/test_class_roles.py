@@ -1,6 +1,8 @@
 """Roles of classes, from rates and weights written by hand."""
 
 import numpy as np
+import pytest
+from scipy.special import expit
 
 from gsc_jax.estimators.robust.class_roles import assign_roles, scene_probability
 
@@ -82,3 +84,109 @@ def test_a_view_that_flags_one_of_several_authentic_classes_is_not_inverted():
     found = assign_roles(rates, weights)
     assert found is not None
     assert not found.inverted.any()
+
+
+def test_a_rate_of_exactly_one_half_is_not_flagged():
+    found = roles([LOW] * 4, [HIGH, HIGH, HIGH, 0.5])
+    assert found.rate == 0.75
+    assert found.patterns[1].tolist() == [True, True, True, False]
+    assert not roles([0.5] * 4, [HIGH] * 4).inverted.any()
+    often = roles([LOW] * 4, [HIGH, HIGH, HIGH, LOW], [HIGH, HIGH, 0.5, 0.5])
+    assert often.rate == 0.75
+    masses = np.array([40, 40, 60.0])[:, None] * np.ones(4)
+    halves = assign_roles(np.array([[LOW] * 4, [0.5] * 4, [HIGH] * 4]), masses)
+    assert halves is not None
+    assert not halves.inverted.any(), "two classes that are not flagged weigh more than one that is"
+
+
+def test_two_light_classes_of_one_pattern_outweigh_a_heavier_one():
+    masses = np.array([30, 25, 40.0])[:, None] * np.ones(3)
+    found = assign_roles(np.array([[LOW] * 3, [LOW] * 3, [HIGH] * 3]), masses)
+    assert found is not None
+    assert found.rate == 1
+    assert not found.inverted.any()
+
+
+def test_the_unit_of_the_weights_does_not_matter():
+    rates, weights = (
+        np.array([[LOW] * 4, [HIGH] * 3 + [LOW]]),
+        np.array([[9.0] * 4, [1, 1, 1, 0.1]]),
+    )
+    for unit in (1e-12, 1e12):
+        found, expected = (assign_roles(rates, w) for w in (unit * weights, weights))
+        assert found is not None
+        assert expected is not None
+        assert found.views == pytest.approx(expected.views)
+        assert found.rate == pytest.approx(expected.rate)
+
+
+def test_a_class_that_no_view_sees_has_no_role():
+    weights = [[1] * 4, [1] * 4, [0] * 4]
+    found = roles([LOW] * 4, [HIGH] * 4, [HIGH, HIGH, LOW, LOW], weights=weights)
+    assert found.tampered.tolist() == [False, True]
+
+
+@pytest.mark.parametrize("rate", [0.1, 0.5])
+def test_the_tampered_class_is_another_than_the_authentic_one_even_if_nothing_is_flagged(rate):
+    found = roles([LOW] * 3, [rate] * 3, weights=[[1] * 3, [1, 1, 0]])
+    assert (found.rate, found.views) == (0, 2)
+
+
+def test_classes_that_fewer_than_two_views_separate_are_one_object():
+    assert len(roles([LOW] * 6, [HIGH] * 6, [HIGH] * 6).tampered) == 2
+    assert len(roles([LOW] * 6, [HIGH] * 6, [HIGH] * 5 + [LOW]).tampered) == 2
+    assert len(roles([LOW] * 6, [HIGH] * 6, [LOW] * 6).tampered) == 2
+    for weight, count in ((0.05, 2), (0.1, 3)):  # a view that sees a tenth counts one half
+        weights = np.ones((3, 6))
+        weights[2, 5] = weight
+        assert (
+            len(roles([LOW] * 6, [HIGH] * 6, [HIGH] * 4 + [LOW] * 2, weights=weights).tampered)
+            == count
+        )
+
+
+def test_rates_that_differ_by_six_tenths_do_not_separate_classes():
+    for rate, count in ((0.4, 2), (0.35, 3)):
+        found = roles([LOW] * 8, [1.0] * 8, [1.0] * 6 + [rate] * 2)
+        assert len(found.tampered) == count
+
+
+def test_a_class_flagged_in_one_view_is_a_distractor_but_not_one_like_the_authentic_class():
+    once = [HIGH] + [LOW] * 5
+    assert roles([LOW] * 6, [HIGH] * 6, once).patterns[2].tolist() == [True] + [False] * 5
+
+
+def test_a_view_that_does_not_see_a_distractor_has_the_pattern_of_the_authentic_class():
+    weights = np.ones((3, 6))
+    weights[2, 0] = 0.01
+    found = roles([LOW] * 6, [HIGH] * 6, [HIGH, HIGH] + [LOW] * 4, weights=weights)
+    assert found.patterns[2].tolist() == [False, True] + [False] * 4
+
+
+def test_of_classes_flagged_about_as_often_the_heaviest_is_tampered():
+    often, seldom = [HIGH] * 12, [HIGH] * 11 + [LOW]
+    weights = np.ones((3, 12)) * [[1], [1], [5]]
+    assert roles([LOW] * 12, often, seldom, weights=weights).rate == pytest.approx(11 / 12)
+    seldom = [HIGH] * 3 + [LOW] * 9
+    assert roles([LOW] * 12, often, seldom, weights=weights).rate == 1
+
+
+def test_a_view_that_sees_a_fifth_of_the_authentic_class_may_be_inverted():
+    for share, inverted in ((0.2, True), (0.19, False)):
+        weights = [[1, 1, share], [1, 1, 0]]
+        found = roles([LOW, LOW, HIGH], [HIGH, HIGH, LOW], weights=weights)
+        assert found.inverted.tolist() == [False, False, inverted]
+
+
+def test_views_that_hardly_see_a_second_edit_count_less_than_for_its_pattern():
+    rates, weights = [HIGH] * 4 + [LOW] * 8, [1] * 4 + [0.1] * 3 + [0] * 5
+    found = roles([LOW] * 12, [HIGH] * 12, rates, weights=[[1] * 12, [1] * 12, weights])
+    assert found.tampered.tolist() == [False, True, False]
+    rates, weights = [HIGH] * 8 + [LOW] * 4, [1] * 8 + [0.1] * 3 + [0]
+    found = roles([LOW] * 12, [HIGH] * 12, rates, weights=[[1] * 12, [1] * 12, weights])
+    assert found.tampered.tolist() == [False, True, True]
+
+
+def test_the_scene_probability_is_logistic_with_two_pseudo_views():
+    assert scene_probability(1.0, 1e9) == pytest.approx(expit(12 * 0.45))
+    assert scene_probability(1.0, 2.0) == pytest.approx(expit(12 * 0.45 / 2))

@@ -1,5 +1,7 @@
 """Early stopping over views: which views, how many, and the same labels."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -7,7 +9,13 @@ from hypothesis import strategies as st
 from strategies import blobs, cameras_in_a_row
 
 from gsc_jax import Monitor, RobustEstimator, locate
-from gsc_jax.estimators.robust.early_stopping import FIRST_BATCH, batches, changed, spread
+from gsc_jax.estimators.robust.early_stopping import (
+    FIRST_BATCH,
+    EarlyStopping,
+    batches,
+    changed,
+    spread,
+)
 from gsc_jax.evidence.lifting import Evidence
 from gsc_jax.evidence.masks import rendered_share
 
@@ -60,6 +68,19 @@ def test_batches_grow_and_end_with_all(count):
     assert ends[-1] == count
     assert ends == sorted(set(ends))
     assert len(ends) == 1 or ends[0] == FIRST_BATCH
+
+
+def test_the_number_of_views_grows_by_half_and_the_last_batch_is_no_small_one():
+    assert list(batches(11)) == [11]
+    assert list(batches(17)) == [17]
+    assert list(batches(18)) == [12, 18]
+    assert list(batches(60)) == [12, 18, 27, 40, 60]
+
+
+def test_the_reason_names_the_last_change():
+    stop = EarlyStopping(views=18, available=30, changes=(0.5, 0.01))
+    assert stop.reason == "The last views changed 1.0% of the labelled weight."
+    assert dataclasses.replace(stop, views=30).reason == "All views were used."
 
 
 def test_views_are_added_until_the_labels_are_stable():

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from limits import assert_limits
 from strategies import blobs, cameras_in_a_row
 
 from gsc_jax import observe
@@ -54,6 +55,27 @@ def test_the_path_selects_how_the_attribute_is_rendered(monkeypatch, path, used)
     observed = observe(SCENE, CAMERAS, MASKS)
     dataclasses.replace(PAPER.for_views(3), path=path).estimate(observed)
     assert called == [used]
+
+
+def test_a_score_at_the_threshold_is_not_labelled():
+    half = dataclasses.replace(PAPER, threshold=0.5)
+    attribute, seen = np.array([4.0, 2.0, 2.5, 9.0], np.float32), np.array([1, 1, 1, 0], bool)
+    finding = half._decide(attribute, np.ones((4, 3), int), seen)
+    assert finding.tamper.tolist() == [1, 0.5, 0.625, 0]
+    assert finding.labels.tolist() == [True, False, True, False]
+
+
+def test_the_3d_loss_joins_after_half_of_all_steps():
+    assert PAPER.for_views(7).loop.contrastive_start == 5 * 7 // 2
+    assert OFFICIAL.for_views(7).loop.contrastive_start == 7 // 2
+
+
+LIMITS = {"epochs": (1, 1000), "seed": (0, 2**32 - 1), "threshold": (0.0, 1.0), "near": (1e-9, 1e9)}
+
+
+@pytest.mark.parametrize("name", LIMITS)
+def test_the_ends_of_a_range_are_valid_and_numbers_beyond_them_are_not(name):
+    assert_limits(PAPER, name, *LIMITS[name])
 
 
 def test_that_nothing_is_labelled_is_a_warning():

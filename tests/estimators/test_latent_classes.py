@@ -74,3 +74,21 @@ def test_no_candidates_and_no_gaussians_are_errors(wrong):
         fit_classes(flagged, clear, **wrong)
     with pytest.raises(ValueError, match="at least one Gaussian"):
         fit_classes(flagged[:, :0], clear[:, :0], counts=(2,))
+
+
+def test_two_starts_with_the_seed_0_are_the_default():
+    _, flagged, clear = drawn()
+    default = fit_classes(flagged, clear, counts=(3,))
+    explicit = fit_classes(flagged, clear, counts=(3,), restarts=2, seed=0)
+    assert np.array_equal(default.criterion, explicit.criterion)
+
+
+def test_em_stops_when_it_no_longer_improves_and_after_100_iterations():
+    rng = np.random.default_rng(0)
+    noise = rng.integers(0, 9, (6, 300)).astype(np.float32)
+    slow = fit_classes(noise, 8 - noise, counts=(8,), restarts=4)
+    _, flagged, clear = drawn()
+    fast = fit_classes(flagged, clear, counts=(3,), restarts=4)
+    assert np.max(slow.iterations) <= 100
+    assert np.max(fast.iterations) < 50
+    assert np.min(fast.iterations) > 2

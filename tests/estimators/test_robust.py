@@ -7,12 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from limits import assert_limits
 
 from gsc_jax.estimators import Finding, Prior, RobustEstimator
-from gsc_jax.estimators.protocol import NONE_FLAGGED
-from gsc_jax.estimators.robust.class_roles import assign_roles, scene_probability
+from gsc_jax.estimators.protocol import DISAGREEMENT, NONE_FLAGGED
+from gsc_jax.estimators.robust import diagnostics
+from gsc_jax.estimators.robust.class_roles import Roles, assign_roles, scene_probability
 from gsc_jax.estimators.robust.estimator import pattern_distance
-from gsc_jax.estimators.robust.gaussian_visibility import visibility
+from gsc_jax.estimators.robust.gaussian_visibility import stratified_sample, visibility
 from gsc_jax.evidence.lifting import Evidence
 
 VIEWS, COUNT = 12, 400
@@ -79,6 +81,7 @@ def test_inverted_and_uninformative_views_are_identified():
     expected[[1, 4, 9]] = "uninformative"
     expected[[2, 7]] = "inverted"
     assert list(found.reliability) == list(expected)
+    assert not found.attribute[TOTAL.sum(0) == 0].any(), "log odds without evidence"
 
 
 def test_without_inversion_the_scene_probability_falls():
@@ -124,6 +127,51 @@ def test_a_region_flagged_in_few_views_is_labelled_only_without_min_verdict():
     assert np.array_equal(without.labels, KINDS == DECOY)
 
 
+LIMITS = {
+    "sample": (1, 10**9),
+    "seed": (0, 2**32 - 1),
+    **dict.fromkeys(("restarts", "neighbours"), (1, 1000)),
+    **dict.fromkeys(("half_weight", "effective_pixels", "class_log_odds", "near"), (1e-9, 1e9)),
+    "smoothing": (0.0, 1e9),
+    **dict.fromkeys(("prior_weight", "min_verdict", "tolerance", "threshold"), (0.0, 1.0)),
+}
+
+
+@pytest.mark.parametrize("name", LIMITS)
+def test_the_ends_of_a_range_are_valid_and_numbers_beyond_them_are_not(name):
+    assert_limits(ESTIMATOR, name, *LIMITS[name])
+
+
+def test_between_2_and_100_classes_may_be_candidates():
+    assert dataclasses.replace(ESTIMATOR, classes=(2, 100)).classes == (2, 100)
+    for classes in ((), (1,), (101,), (4, 1), [4, 8], (4.5,)):
+        with pytest.raises(ValueError, match="classes"):
+            dataclasses.replace(ESTIMATOR, classes=classes)
+
+
+def test_the_defaults_are_those_of_the_tables():
+    assert dataclasses.asdict(RobustEstimator()) == {
+        "name": "robust",
+        "classes": (4, 8),
+        "restarts": 2,
+        "sample": 8192,
+        "half_weight": 8.0,
+        "effective_pixels": 8.0,
+        "inversion": True,
+        "distractors": True,
+        "class_log_odds": 3.0,
+        "smoothing": 5.0,
+        "neighbours": 8,
+        "prior_weight": 1.0,
+        "min_verdict": 0.06,
+        "tolerance": 0.02,
+        "threshold": 0.5,
+        "mask_rule": "share",
+        "near": 0.2,
+        "seed": 0,
+    }
+
+
 WRONG = {
     "mask_rule": "all",
     "sample": 0,
@@ -148,6 +196,9 @@ def test_empty_and_full_masks_are_defined():
     nothing = estimate(Evidence(total=TOTAL, tampered=np.zeros_like(TOTAL)))
     assert not nothing.labels.any()
     assert nothing.verdict == scene_probability(0.0, VIEWS)
+    unflagged = ESTIMATOR.from_masks(MIXED, MEANS, flagged=False)
+    assert (unflagged.roles, unflagged.classes, unflagged.iterations) == (None, 0, 0)
+    assert not unflagged.probability.any()
     everything = estimate(Evidence(total=TOTAL, tampered=TOTAL))
     assert np.array_equal(everything.labels, TOTAL.sum(0) > 0)
 
@@ -320,3 +371,95 @@ def test_the_scene_probability_does_not_depend_on_the_threshold(threshold):
     evidence = masked(failing("mixture"))
     changed = dataclasses.replace(ESTIMATOR, threshold=threshold)
     assert verdict_of(evidence, changed) == verdict_of(evidence)
+
+
+HALF = np.arange(40) < 20
+SOME_ROLES = Roles(
+    inverted=np.zeros(4, bool),
+    patterns=np.zeros((2, 4), bool),
+    tampered=np.array([False, True]),
+    rate=0.5,
+    views=4.0,
+)
+
+
+def sentences(agreed, labels, *, verdicts=(0.9, 0.9), prior=None, inverted=0) -> list[str]:
+    roles = dataclasses.replace(SOME_ROLES, inverted=np.arange(4) < inverted)
+    return diagnostics.warnings(roles, agreed, labels, verdicts, prior)
+
+
+@pytest.mark.parametrize(("count", "warned"), [(0, False), (1, False), (2, True)])
+def test_more_than_a_twentieth_of_conflicts_is_a_warning(count, warned):
+    fewer = HALF & (np.arange(40) >= count)
+    prior = Prior(probability=HALF.astype(float), verdict=0.9, known=np.ones(40, bool))
+    added = sentences(fewer, HALF)
+    dropped = sentences(HALF, fewer)
+    missed = sentences(fewer, fewer, prior=prior)
+    for found, words in (
+        (added, f"{count} of 20 labelled Gaussians are labelled because of their attributes"),
+        (dropped, f"{count} of 20 Gaussians that the masks agree on are not labelled"),
+        (missed, f"{count} of 20 Gaussians that the attributes alone would label are not"),
+    ):
+        assert [words in text for text in found] == [True] * warned
+
+
+def test_a_prior_that_is_not_likely_or_known_conflicts_with_nothing():
+    prior = Prior(probability=np.where(HALF, 0.0, 0.5), verdict=0.9, known=np.ones(40, bool))
+    assert sentences(HALF, HALF, prior=prior) == []
+    sure = dataclasses.replace(prior, probability=np.where(HALF, 0.0, 0.6))
+    assert len(sentences(HALF, HALF, prior=sure)) == 1
+    assert sentences(HALF, HALF, prior=dataclasses.replace(sure, known=HALF)) == []
+    assert sentences(HALF, HALF, prior=dataclasses.replace(sure, verdict=0.5)) == []
+
+
+def test_weak_masks_are_a_warning_that_names_what_decided():
+    assert sentences(HALF, HALF, verdicts=(0.5, 0.5)) == []
+    (nothing,) = sentences(HALF, HALF, verdicts=(0.49, 0.49))
+    (attributes,) = sentences(HALF, HALF, verdicts=(0.49, 0.5))
+    assert nothing.endswith("perhaps nothing was edited.")
+    assert attributes.endswith("comes from the attributes of the Gaussians.")
+
+
+def test_more_than_half_of_the_masks_inverted_is_a_warning():
+    assert sentences(HALF, HALF, inverted=2) == []
+    (warning,) = sentences(HALF, HALF, inverted=3)
+    assert warning.startswith("3 of 4 masks")
+
+
+def test_nothing_agreed_or_nothing_labelled_is_a_disagreement():
+    for agreed, labels in ((HALF, HALF & ~HALF), (HALF & ~HALF, HALF)):
+        (warning,) = sentences(agreed, labels)
+        assert warning.startswith(DISAGREEMENT)
+        assert ("come from the attributes" in warning) == labels.any()
+
+
+def test_a_mask_is_reliable_if_it_flags_more_than_half_of_the_labelled_weight():
+    total, flagged = np.array([[8.0], [8], [0.8], [0.9]]), np.array([[4.0], [4.1], [0.8], [0.9]])
+    evidence = Evidence(total=total, tampered=flagged)
+    words = ("uninformative", "reliable", "unseen", "reliable")
+    assert diagnostics.reliability(evidence, np.ones(1, bool), SOME_ROLES) == words
+    assert diagnostics.reliability(evidence, np.zeros(1, bool), SOME_ROLES) == ()
+    assert diagnostics.reliability(evidence, np.ones(1, bool), None) == ()
+
+
+def test_a_sample_is_half_flagged_and_represents_all_visible_gaussians():
+    seen, flagged = np.ones(1000), np.where(np.arange(1000) < 50, 1.0, 0.0)
+    rows, represents = stratified_sample(seen, flagged, 100)
+    assert len(rows) == 100
+    assert 45 <= (rows < 50).sum() <= 60
+    assert represents[rows < 50].max() < represents[rows >= 50].min()
+    share = represents[rows < 50].sum() / represents.sum()
+    assert share == pytest.approx(0.05, abs=0.01)
+    unseen = np.where(np.arange(1000) < 900, 0.0, 1.0)
+    rows, _ = stratified_sample(unseen, 0 * unseen, 200)
+    assert sorted(rows) == list(range(900, 1000))
+    faint, _ = stratified_sample(1e-9 * seen, 1e-9 * flagged, 100)
+    assert 45 <= (faint < 50).sum() <= 60
+
+
+def test_a_score_at_the_threshold_is_not_labelled():
+    scores = estimate(MIXED).tamper
+    some = float(scores[np.argsort(scores)[COUNT // 2]])
+    found = estimate(MIXED, dataclasses.replace(ESTIMATOR, threshold=some))
+    assert (found.tamper == some).any()
+    assert np.array_equal(found.labels, found.tamper > some)

@@ -6,9 +6,22 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given
-from strategies import blobs, camera, floats
+from strategies import blobs, camera, cameras_in_a_row, floats, random_scene, with_row
 
-from gsc_jax.evidence.masks import MIN_COVERAGE, Labelled, normalise, rendered_share, view_mask
+from gsc_jax.evidence.masks import (
+    MIN_COVERAGE,
+    Labelled,
+    filled_scores,
+    mask_and_render,
+    normalise,
+    rendered_share,
+    stored_masks,
+    view_mask,
+)
+from gsc_jax.evidence.monitor import Monitor
+from gsc_jax.evidence.storage import ArrayStore
+from gsc_jax.scene.gaussians import transparent_rows
+from gsc_jax.splat import render
 
 CAMERA = camera(33, 17)
 LEFT, RIGHT = [-0.5, 0, 2], [0.5, 0, 2]
@@ -26,6 +39,12 @@ def test_scores_lie_in_the_unit_interval_and_keep_the_order(attribute):
     assert scores.min() >= 0
     assert scores.max() == pytest.approx(float(attribute.max() > 0))
     assert np.all(np.diff(scores[np.argsort(attribute)]) >= 0)
+
+
+@pytest.mark.parametrize("unit", [1e-6, 0.5, 1e6])
+def test_scores_do_not_depend_on_the_unit_of_the_attribute(unit):
+    attribute = np.array([4.0, 1.0, 0.0, -2.0], np.float32)
+    np.testing.assert_allclose(normalise(unit * attribute), [1, 0.25, 0, 0], rtol=1e-6)
 
 
 @pytest.mark.usefixtures("nan_is_an_error")
@@ -99,5 +118,79 @@ def test_a_pixel_with_little_alpha_has_no_share():
 
 
 def test_a_feature_may_be_negative():
-    share = rendered_share(blobs([LEFT], opacity=0.9), CAMERA, np.full(1, -2))
-    assert share.min() == pytest.approx(-2, rel=1e-5)
+    share = rendered_share(blobs([LEFT], opacity=0.9), CAMERA, np.full(1, -1))
+    assert share.min() == pytest.approx(-1, rel=1e-5)
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_a_feature_has_one_number_per_gaussian(count):
+    with pytest.raises(ValueError, match=rf"shape \(2,\), got \({count},\)"):
+        rendered_share(blobs([LEFT, RIGHT]), CAMERA, np.ones(count))
+
+
+def test_a_pixel_at_half_of_the_largest_score_of_the_view_is_not_above_half():
+    scene, labels = blobs([LEFT, RIGHT], opacity=0.9), np.array([True, True])
+    for score, shown in ((0.5, False), (0.51, True)):
+        scores = Labelled(np.array([1.0, score], np.float32), labels)
+        mask = view_mask(scene, CAMERA, scores, rule="per-view", threshold=0.5)
+        assert mask[8, 11]
+        assert mask[8, 21] == shown
+
+
+@pytest.mark.parametrize("wrong", [-0.1, 1.0, 1.5, np.nan])
+def test_thresholds_are_at_least_0_and_below_1(wrong):
+    scene, scores = blobs([LEFT]), Labelled(np.full(1, 0.5, np.float32), np.ones(1, bool))
+    with pytest.raises(ValueError, match=r"\[0, 1\)"):
+        view_mask(scene, CAMERA, scores, threshold=wrong)
+    assert view_mask(scene, CAMERA, scores, threshold=0.0).any()
+    assert not view_mask(scene, CAMERA, scores, threshold=0.99).any()
+    with pytest.raises(ValueError, match="share, attribute, per-view"):
+        view_mask(scene, CAMERA, scores, rule="shares")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("rule", ["share", "attribute", "per-view"])
+def test_a_mask_and_its_render_are_those_of_the_two_functions(rule):
+    scene = random_scene(60)
+    scores = Labelled(np.linspace(0, 1, 60, dtype=np.float32), np.arange(60) >= 30)
+    options = {"rule": rule, "threshold": 0.4, "near": 0.2}
+    mask, image = mask_and_render(scene, CAMERA, scores, **options)
+    assert np.array_equal(mask, view_mask(scene, CAMERA, scores, **options))
+    assert mask.any()
+    assert not mask.all()
+    assert image.dtype == np.uint8
+    expected = 255 * np.asarray(render(scene, CAMERA)[0])
+    assert expected.max() > 100
+    np.testing.assert_allclose(image, expected, atol=0.501)
+
+
+def test_bright_renders_are_clipped():
+    scene = with_row(blobs([LEFT], opacity=0.9), "sh", 9.0)
+    scores = Labelled(np.ones(1, np.float32), np.ones(1, bool))
+    _, image = mask_and_render(scene, CAMERA, scores, rule="share", threshold=0.5, near=0.2)
+    assert image.max() == 255
+
+
+@pytest.mark.parametrize("with_render", [False, True])
+def test_masks_and_renders_are_stored_by_the_name_of_their_view(with_render):
+    cameras, calls, store = cameras_in_a_row(3, 4, 3, step=0.1), [], ArrayStore()
+    masks = {camera.name: np.full((3, 4), k % 2 == 0) for k, camera in enumerate(cameras)}
+    image = np.ones((3, 4, 3), np.uint8)
+
+    def compute(camera):
+        return (masks[camera.name], image) if with_render else masks[camera.name]
+
+    monitor = Monitor(progress=lambda *step: calls.append(step))
+    stored = stored_masks(compute, cameras, store, monitor)
+    assert list(stored) == list(masks)
+    assert all(np.array_equal(stored[name], mask) for name, mask in masks.items())
+    assert calls == [("masks", done, 3) for done in (1, 2, 3)]
+    assert [store.has("render", name) for name in masks] == [with_render] * 3
+
+
+def test_transparent_rows_have_no_score_and_no_label():
+    filled = filled_scores(Labelled(np.full(17, 0.5, np.float32), np.ones(17, bool)))
+    assert len(filled.tamper) == len(filled.labels) == 17 + transparent_rows(17) > 17
+    assert filled.tamper[:17].tolist() == [0.5] * 17
+    assert filled.labels[:17].all()
+    assert not filled.tamper[17:].any()
+    assert not filled.labels[17:].any()

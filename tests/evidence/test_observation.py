@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis.extra import numpy as hnp
-from strategies import blobs, camera, random_scene
+from strategies import blobs, camera, cameras_in_a_row, random_scene
 
 from gsc_jax import InputError, observe
 from gsc_jax.evidence.observation import EVIDENCE, MAP, half_precision
@@ -164,3 +164,17 @@ def test_rounding_moves_no_pixel_across_the_threshold(probability):
     assert np.array_equal(rounded > 0.5, probability > 0.5)
     np.testing.assert_allclose(rounded, probability, atol=5e-4)
     assert half_precision(np.nextafter(np.full(1, 0.5, np.float32), np.float32(1)))[0] > 0.5
+
+
+def test_masks_in_the_order_of_the_cameras_and_generators_serve_as_well():
+    views = cameras_in_a_row(3, 17, 15, step=0.2)
+    gaussians = random_scene(20)
+    maps = np.random.default_rng(0).random((3, 15, 17)).astype(np.float32)
+    named = observe(gaussians, views, {v.name: m for v, m in zip(views, maps, strict=True)})
+    for masks in (maps, list(maps), (one for one in maps)):
+        found = observe(gaussians, (view for view in views), masks)
+        np.testing.assert_array_equal(found.evidence.tampered, named.evidence.tampered)
+    with pytest.raises(InputError, match=r"each of 3 cameras, .* got 2"):
+        observe(gaussians, views, maps[:2])
+    with pytest.raises(InputError, match="cameras must be Camera objects, got str"):
+        observe(gaussians, ["a.json"], maps)  # pyright: ignore[reportArgumentType]

@@ -10,6 +10,7 @@ from gsc_jax.scene import InputError
 
 SCRIPTS = (
     "ablation",
+    "adaptive",
     "authentic",
     "beyond",
     "calibration",
@@ -28,7 +29,15 @@ SCRIPTS = (
     "stability",
     "unseen",
 )
-WITHOUT_CHART = ("departures", "fusion", "mask_checks", "published", "published_fit", "unseen")
+WITHOUT_CHART = (
+    "adaptive",
+    "departures",
+    "fusion",
+    "mask_checks",
+    "published",
+    "published_fit",
+    "unseen",
+)
 
 
 @pytest.mark.slow

@@ -23,6 +23,14 @@ def test_a_table_has_means_spreads_and_the_best_in_bold():
     ]
 
 
+def test_a_section_is_replaced_in_the_page_that_has_it(tmp_path):
+    page = tmp_path / "results-paper.md"
+    page.write_text("<!-- one -->\nold\n<!-- /one -->\n")
+    tables.write_section(tmp_path / "results.md", "one", "new")
+    assert page.read_text() == "<!-- one -->\nnew\n<!-- /one -->\n"
+    assert not (tmp_path / "results.md").exists()
+
+
 def test_a_section_is_replaced_and_the_rest_of_the_page_stays(tmp_path):
     page = tmp_path / "results.md"
     page.write_text("before\n<!-- one -->\nold\n<!-- /one -->\nafter\n")

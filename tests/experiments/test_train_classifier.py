@@ -8,11 +8,18 @@ import pytest
 import train_classifier as train
 from bank import FIRST_SEED, NO_EDIT, PROGRAM_SEEDS, bank_case
 from classifier_examples import Examples
+from forensics_cases import room
 from scipy.special import expit
 
 from gsc_jax.benchmark.metrics import auc
 from gsc_jax.benchmark.scenes import make_room
-from gsc_jax.forensics.classifier import default_classifier, from_arrays, network
+from gsc_jax.forensics.classifier import (
+    default_classifier,
+    from_arrays,
+    network,
+    smoothed_log_odds,
+)
+from gsc_jax.forensics.features import compute_features
 from gsc_jax.scene import InputError
 
 SCENES = ("a", "b", "c")
@@ -147,3 +154,12 @@ def test_whole_cases_calibrate_only_folds_that_saw_no_part_of_them(small_rooms, 
     assert set(outputs) == {None, "b"}
     assert len(outputs["b"].networks) == len(outputs["b"].novelty) == len(case.labels)
     assert outputs["b"].edit == "removal"
+
+
+def test_stored_classifier_gives_the_same_log_odds():
+    features, classifier = compute_features(room()), default_classifier()
+    again = from_arrays(train.as_arrays(classifier))
+    assert (again.names, again.calibration) == (classifier.names, classifier.calibration)
+    assert (again.base, again.scene) == (classifier.base, classifier.scene)
+    before, after = (smoothed_log_odds(features, c) for c in (classifier, again))
+    np.testing.assert_array_equal(before, after)

@@ -7,13 +7,15 @@ import numpy as np
 import pytest
 from export import export
 from forensics_cases import BASE, PEAK, changed, classified, evidence_of, two_groups
+from scipy.special import expit, logit
 
 from gsc_jax import locate
 from gsc_jax.benchmark.metrics import auc, truth_mask
 from gsc_jax.benchmark.scenes import make_room, tampered_room
-from gsc_jax.forensics.calibration import LEVEL_BESIDE_TRACES
+from gsc_jax.forensics.calibration import LEVEL_BESIDE_TRACES, MAX_LOG_ODDS
 from gsc_jax.forensics.evidence import (
     TRACES,
+    add_traces,
     combine,
     estimate_from_attributes,
     forensic_evidence,
@@ -58,13 +60,13 @@ def test_invalid_rows_are_unknown_and_change_no_others():
 
 
 ODD = [
-    *(SAVED.take(np.arange(count)) for count in (1, 5, 17, 40)),
+    *(SAVED.take(np.arange(count)) for count in (1, 5, 16, 17, 40)),
     changed(SOME, slice(5), log_scales=-np.inf, logit_opacities=[np.inf, -np.inf, 0, 0, 0]),
     changed(SOME, slice(None), log_scales=-3, quats=1, sh=0, logit_opacities=0),
 ]
 
 
-@pytest.mark.parametrize("scene", ODD, ids=["1", "5", "17", "40", "flat", "identical"])
+@pytest.mark.parametrize("scene", ODD, ids=["1", "5", "16", "17", "40", "flat", "identical"])
 def test_small_and_degenerate_scenes_give_finite_evidence(scene):
     evidence = forensic_evidence(scene)
     assert evidence.known.all() == (len(scene) > 16), "fewer have no surroundings"
@@ -160,6 +162,7 @@ def test_unknown_gaussians_have_probability_0():
     probability = combine(output, ()).probability
     assert probability[0] > 0.5
     assert probability[1] == 0
+    assert estimate_from_attributes(combine(output, ())).attribute[1] == 0
 
 
 def test_nothing_is_labelled_below_the_minimum_verdict():
@@ -211,3 +214,31 @@ def test_scenes_of_every_size_share_their_programs(caplog):
     with jax.log_compiles(), caplog.at_level("WARNING"):
         forensic_evidence(second)
     assert not [record.message for record in caplog.records if "Compiling" in record.message]
+
+
+@pytest.mark.parametrize("probability", [0.01, 0.5, 0.99])
+@pytest.mark.parametrize("score", [0.0, 0.5, 0.999])
+def test_log_odds_and_a_trace_are_joined_by_a_noisy_or(probability, score):
+    joined = add_traces(logit(np.array([probability])), [trace(score)])
+    expected = 1 - (1 - probability) * (1 - score)
+    np.testing.assert_allclose(expit(joined), expected, rtol=1e-5)
+
+
+def test_a_certain_trace_gives_the_largest_log_odds():
+    assert add_traces(np.zeros(2), [trace(1.0, 0.0)]).tolist() == [MAX_LOG_ODDS, 0]
+    assert add_traces(np.full(1, BASE), []).tolist() == [BASE]
+
+
+def test_the_ends_of_the_unit_interval_are_valid_thresholds():
+    evidence = evidence_of([BASE, 0.0, PEAK], 0.5)
+    assert estimate_from_attributes(evidence, threshold=0.0, min_verdict=0.0).labels.any()
+    assert not estimate_from_attributes(evidence, threshold=1.0).labels.any()
+    assert not estimate_from_attributes(evidence, min_verdict=1.0).labels.any()
+
+
+def test_what_is_unknown_and_what_is_not_found_are_different_warnings():
+    few = forensic_evidence(SAVED.take(np.arange(5)))
+    (warning,) = estimate_from_attributes(few).warnings
+    assert "too few valid Gaussians" in warning
+    (warning,) = estimate_from_attributes(evidence_of([BASE] * 3, 0.5), threshold=1.0).warnings
+    assert "no evidence of an edit" in warning

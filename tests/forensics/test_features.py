@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from gsc_jax.benchmark.incorporation import transformed
 from gsc_jax.benchmark.scenes import make_room
+from gsc_jax.forensics.copy_move import nearest_duplicates
 from gsc_jax.forensics.features import (
     MAX_DEVIATION,
     compute_features,
@@ -48,7 +49,10 @@ def test_similarities_of_the_scene_change_nothing(scale):
 
 
 def test_copies_are_close_and_others_are_not():
-    closeness = duplicate_closeness(with_copy(ROOM, np.arange(50)))[:, 0]
+    distances, rows = nearest_duplicates(with_copy(ROOM, np.arange(50)))
+    assert (rows[-50:] == np.arange(50)).all()
+    assert (rows[:50] == len(ROOM) + np.arange(50)).all()
+    closeness = duplicate_closeness(distances)[:, 0]
     assert closeness[-50:].min() > 0.99
     assert closeness[:50].min() > 0.99
     assert closeness[50:-50].mean() < 0.2

@@ -1,6 +1,7 @@
 """Novelty: high for what resembles nothing elsewhere, and independent of scale and row order."""
 
 import dataclasses
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -60,3 +61,15 @@ def test_identical_gaussians_are_not_novel():
     means = np.random.default_rng(2).normal(size=(2_000, 3)).astype(np.float32)
     values = measured(dataclasses.replace(same, means=means))
     assert np.isfinite(values).all()
+
+
+def test_memory_does_not_grow_with_the_number_of_columns(monkeypatch):
+    """All columns at once took 500 bytes per Gaussian, more than any other step."""
+    monkeypatch.setattr("gsc_jax.forensics.novelty.MAX_PLACES", 2**8)  # few, as in a large scene
+    gaussians = make_room(count=40_000, seed=5)
+    features, means = compute_features(gaussians), np.asarray(gaussians.means, np.float32)
+    tracemalloc.start()
+    novelty(features, means)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 200 * len(gaussians), f"{peak / len(gaussians):.0f} bytes per Gaussian"

@@ -26,7 +26,7 @@ from gsc_jax.forensics.row_order import row_order
 from gsc_jax.forensics.traces import any_trace, quaternion_convention, sh_degree
 from gsc_jax.io.ply import load_ply
 
-NAMES = ("copy-move", "quantisation", "sh-degree", "row-order", "quaternion-convention")
+NAMES = ("copy-move", "quantisation", "sh-degree", "quaternion-convention", "row-order")
 PART = central_rows(room())
 LABELS = labels_of(room(), PART)
 

@@ -26,6 +26,7 @@ from ply_files import columns_of, write_columns
 from plyfile import PlyData, PlyElement
 from results_folder import write_results
 from strategies import random_scene
+from web_files import glb_tree, write_chunks, write_splat
 
 from gsc_jax.cli.config_file import read_config_file
 from gsc_jax.cli.report.wording import headline, labels_sentence
@@ -194,6 +195,27 @@ def _check_sog(path: Path) -> None:
     except ValueError as error:
         if "requires imagecodecs" not in str(error):
             raise
+
+
+@functools.cache
+def _splats() -> list[bytes]:
+    with tempfile.TemporaryDirectory() as name:
+        return [write_splat(Path(name) / "s.splat", random_scene(COUNT)).read_bytes()]
+
+
+def _make_glb(rng: Random | None, folder: Path) -> Path:
+    """Damage the JSON, the numbers, or the bytes of the whole file."""
+    tree, data = glb_tree(random_scene(COUNT, degree=1))
+    text = json.dumps(tree)
+    kind = "" if rng is None else rng.choice(("tree", "tree", "data", "file"))
+    if rng is not None and kind == "tree":
+        text = json_text(rng, damaged_tree(rng, tree))
+    if rng is not None and kind == "data":
+        data = damaged_bytes(rng, data)
+    path = write_chunks(folder / "s.glb", text.encode("utf-8", "replace"), data)
+    if rng is not None and kind == "file":
+        path.write_bytes(damaged_bytes(rng, path.read_bytes()))
+    return path
 
 
 # --- Cameras ---
@@ -493,6 +515,8 @@ _FORMATS = (
     _file("ply-compressed", "s.ply", _compressed_seeds, _damaged_header, _check_scene),
     Format(name="spz", make=_make_spz, read=_check_scene),
     Format(name="sog", make=_make_sog, read=_check_sog),
+    _file("splat", "s.splat", _splats, damaged_bytes, _check_scene),
+    Format(name="glb", make=_make_glb, read=_check_scene),
     _file(
         "cameras",
         "cameras.json",

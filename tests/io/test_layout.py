@@ -32,6 +32,7 @@ def test_saved_layout_is_that_of_the_inria_code(tmp_path):
 def test_2dgs_discs_get_a_third_scale(tmp_path):
     actual = load_ply(write_columns(tmp_path / "discs.ply", without("scale_2")))
     np.testing.assert_array_equal(actual.log_scales[:, :2], SCENE.log_scales[:, :2])
+    assert np.exp(FLAT_LOG_SCALE) == pytest.approx(1e-6)
     np.testing.assert_allclose(actual.log_scales[:, 2], FLAT_LOG_SCALE)
     assert np.exp(FLAT_LOG_SCALE) == pytest.approx(1e-6)
 

@@ -1,7 +1,10 @@
 """Scenes survive reading and writing in every layout of .ply, and damaged files are reported."""
 
+import bz2
 import contextlib
 import dataclasses
+import gzip
+import lzma
 import time
 from pathlib import Path
 
@@ -160,6 +163,9 @@ def test_loading_warns_in_one_line(tmp_path):
     with pytest.warns(UserWarning, match=r"invalid\.ply: left out 4 of 9 Gaussians \(.*\)$"):
         gaussians = load_ply(path)
     assert len(gaussians) == 5
+    with pytest.warns(UserWarning, match="left out") as caught:
+        load_ply(path)
+    assert [warning.filename for warning in caught] == [__file__], "names the line of the caller"
 
 
 @pytest.mark.parametrize(
@@ -170,6 +176,7 @@ def test_loading_warns_in_one_line(tmp_path):
         (b"ply\nformat binary_little_endian 1.0\n", "not a PLY file"),
         (b"ply\nformat ascii 1.0\nelement vertex 1\nproperty half x\nend_header\n1\n", "half"),
         (b"ply\nformat ascii 1.0\nelement face 0\nproperty int i\nend_header\n", "no vertices"),
+        (b"ply\nformat ascii 1.0\nelement vertex 0\nproperty int x\nend_header\n", "no vertices"),
         (
             b"ply\nformat ascii 1.0\nelement vertex 1\nproperty uchar x\nend_header\n300\n",
             "not a PLY file",
@@ -343,3 +350,64 @@ def test_values_of_any_shape_are_distributed_to_the_rows_of_the_file(tmp_path):
     expanded = scene.expand(values, fill=-1)
     assert expanded[[0, 2, 3, 5, 6]].tolist() == values.tolist()
     assert expanded[[1, 4]].tolist() == [[-1, -1], [-1, -1]]
+    for count in (4, 6):
+        with pytest.raises(ValueError, match="expected 5 values"):
+            scene.expand(np.zeros(count))
+
+
+@pytest.mark.parametrize(
+    ("pack", "program"),
+    [(gzip.compress, "gunzip"), (bz2.compress, "bunzip2"), (lzma.compress, "unxz")],
+)
+def test_a_packed_file_is_refused_with_the_program_that_unpacks_it(tmp_path, pack, program):
+    path = tmp_path / "scene.ply"
+    save_ply(path, random_scene(3))
+    path.write_bytes(pack(path.read_bytes()))
+    with pytest.raises(InputError, match=rf"scene\.ply: is packed; unpack it first: {program}"):
+        read_ply(path)
+
+
+def test_a_scene_does_not_change_with_its_file(tmp_path):
+    path = write_columns(tmp_path / "scene.ply", SMALL)
+    scene = read_ply(path)
+    content = path.read_bytes()
+    with path.open("r+b") as file:
+        file.seek(content.index(b"end_header"))
+        file.write(bytes(len(content) - content.index(b"end_header")))
+    np.testing.assert_array_equal(scene.ply["vertex"]["x"], SMALL["x"])
+    assert_same(scene.gaussians, random_scene(7, degree=0))
+
+
+@pytest.mark.parametrize(("size", "valid"), [(60_000, True), (70_000, False)])
+def test_a_header_has_at_most_64_kib(tmp_path, size, valid):
+    path = write_columns(tmp_path / "scene.ply", SMALL)
+    comments = b"comment " + b"x" * 91 + b"\n"
+    content = path.read_bytes().replace(b"element", comments * (size // 100) + b"element", 1)
+    path.write_bytes(content)
+    if valid:
+        assert_same(load_ply(path), random_scene(7, degree=0))
+    else:
+        with pytest.raises(InputError, match="no header"):
+            load_ply(path)
+
+
+def test_a_text_of_short_numbers_takes_more_memory_than_a_binary_file_of_its_size(tmp_path):
+    columns = {name: np.zeros(2000, np.int16) for name in SMALL} | {"rot_0": np.ones(2000, "i2")}
+    for text, refused in ((False, False), (True, True)):
+        path = write_columns(tmp_path / f"{text}.ply", columns, text=text)
+        size = path.stat().st_size
+        assert read_ply(path, max_bytes=8 * size).total == 2000
+        if refused:
+            with pytest.raises(InputError, match="of memory"):
+                read_ply(path, max_bytes=5 * size)
+        else:
+            assert read_ply(path, max_bytes=5 * size).total == 2000
+
+
+def test_empty_lists_take_much_more_memory_than_their_bytes(tmp_path):
+    path = write_columns(tmp_path / "scene.ply", SMALL)
+    faces = b"element face 5000\nproperty list uchar int ids\nend_header\n"
+    path.write_bytes(path.read_bytes().replace(b"end_header\n", faces) + bytes(5000))
+    assert read_ply(path, max_bytes=2_000_000).total == 7
+    with pytest.raises(InputError, match="of memory"):
+        read_ply(path, max_bytes=500_000)

@@ -42,6 +42,10 @@ def test_neighbourhoods_average_over_the_nearest_points():
 
 @pytest.mark.parametrize(("count", "size"), [(1, 1), (7, 50), (400, 1), (400, 37)])
 def test_parts_are_a_partition_of_bounded_size(count, size):
-    found = parts(np.random.default_rng(0).random((count, 3)), size)
-    assert max(map(len, found)) <= size
-    np.testing.assert_array_equal(np.sort(np.concatenate(found)), np.arange(count))
+    points = np.random.default_rng(0).random((count, 3))
+    order, starts = parts(points, size)
+    sizes = np.diff(starts, append=count)
+    assert 0 < sizes.min() <= sizes.max() <= size
+    np.testing.assert_array_equal(np.sort(order), np.arange(count))
+    around = (np.ptp(points[part], axis=0).max() for part in np.split(order, starts[1:]))
+    assert count < 400 or np.mean(list(around)) < 2 * (size / count) ** (1 / 3)

@@ -1,15 +1,15 @@
 """The charts of the report: histogram of the scores, distributions of attributes (GS-Checker).
 
 The two groups differ in shape as well as in colour: tampered is filled, authentic a dashed line. A
-chart is drawn twice by matplotlib as SVG, in the colours of a light and of a dark scheme, of which
-the page selects one. Colours C0 (tampered) and C1 (authentic) repeat those of report.css.
+chart is an SVG of matplotlib in the colours of a light and of a dark scheme, of which the page
+selects one. Colours C0 (tampered) and C1 (authentic) repeat those of report.css.
 """
 
-import base64
 import dataclasses
 import io
+from base64 import b64encode
 from collections.abc import Callable, Iterator, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
@@ -23,18 +23,21 @@ from gsc_jax.scene.parallel import in_blocks
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-LIGHT = {"ink": "#1c1b1a", "muted": "#5c5954", "cycle": ["#b3004b", "#22588f"]}
-DARK = {"ink": "#ebe8e3", "muted": "#aba69e", "cycle": ["#ff7fae", "#85b8ee"]}
-STYLE = {
+LIGHT = INK, MUTED, TAMPERED, AUTHENTIC = "#1c1b1a", "#5c5954", "#b3004b", "#22588f"
+DARK = "#ebe8e3", "#aba69e", "#ff7fae", "#85b8ee"
+STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "gsc_jax",  # reproducible ids
     "font.size": 9,
     "axes.spines.top": False,
     "axes.spines.right": False,
+    "axes.prop_cycle": f"cycler(color=['{TAMPERED}', '{AUTHENTIC}'])",
+    **dict.fromkeys(("text.color", "axes.labelcolor", "xtick.labelcolor", "ytick.labelcolor"), INK),
+    **dict.fromkeys(("axes.edgecolor", "xtick.color", "ytick.color"), MUTED),
 }
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@dataclasses.dataclass(frozen=True)
 class Chart:
     """A chart: heading, sentences, and its image for each scheme as a data URI."""
 
@@ -48,29 +51,19 @@ def chart(
     plot: "Callable[[Axes], object]", *, title: str, text: str, size: tuple[float, float]
 ) -> Chart:
     """Draw a chart in both colour schemes; `size` is in inches, with text of 9 points."""
-    light, dark = (_data_uri(plot, scheme, size) for scheme in (LIGHT, DARK))
-    return Chart(title=title, text=text, light=light, dark=dark)
-
-
-def _data_uri(plot: "Callable[[Axes], object]", scheme: dict, size: tuple[float, float]) -> str:
     import matplotlib
     from matplotlib.figure import Figure
 
-    file = io.BytesIO()
-    with matplotlib.rc_context(_style(**scheme)):
+    file = io.StringIO()
+    with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=size, layout="constrained")
         plot(figure.subplots())
         figure.savefig(file, format="svg", transparent=True, metadata={"Date": None})
-    return f"data:image/svg+xml;base64,{base64.b64encode(file.getvalue()).decode()}"
-
-
-def _style(ink: str, muted: str, cycle: list[str]) -> dict:
-    from cycler import cycler
-
-    text = ("text.color", "axes.labelcolor", "xtick.labelcolor", "ytick.labelcolor")
-    lines = ("axes.edgecolor", "xtick.color", "ytick.color")
-    style = STYLE | dict.fromkeys(text, ink) | dict.fromkeys(lines, muted)
-    return style | {"axes.prop_cycle": cycler(color=cycle)}
+    light = dark = file.getvalue()
+    for one, other in zip(LIGHT, DARK, strict=True):
+        dark = dark.replace(one, other)
+    uris = ("data:image/svg+xml;base64," + b64encode(x.encode()).decode() for x in (light, dark))
+    return Chart(title, text, *uris)
 
 
 MIN_LOG_SCALE = -30.0
@@ -98,8 +91,9 @@ def attributes(gaussians: Gaussians) -> Iterator[tuple[str, str, np.ndarray]]:
     decades = log_scales / np.log(10)
     sh = np.asarray(gaussians.sh)
     rgb = 0.5 + Y0 * sh[:, 0].astype(np.float64)
-    cos_half_angle = np.abs(np.asarray(gaussians.rotations)[:, 0]).clip(0, 1)
-    yield "Opacity", "from 0 to 1", np.asarray(gaussians.opacities)
+    quats = np.asarray(gaussians.quats, np.float64)  # a zero one is no rotation
+    cos_half_angle = (np.abs(quats[:, 0]) + 1e-30) / (np.linalg.norm(quats, axis=1) + 1e-30)
+    yield "Opacity", "from 0 to 1", 0.5 + 0.5 * np.tanh(np.asarray(gaussians.logit_opacities) / 2)
     yield "Size", "log10 of the mean scale, scene units", decades.mean(axis=1)
     yield "Anisotropy", "log10 of longest to shortest axis", np.ptp(decades, axis=1)
     yield "Rotation", "angle in degrees", np.degrees(2 * np.arccos(cos_half_angle))
@@ -122,8 +116,8 @@ def score_histogram(result: Result) -> Chart:
     edges = np.linspace(0, 1, SCORE_BINS + 1)
 
     def plot(axes: "Axes") -> None:
-        _draw_tampered(axes, np.histogram(scores[labels], edges)[0], edges)
-        _draw_authentic(axes, np.histogram(scores[~labels], edges)[0], edges)
+        groups = scores[labels], scores[~labels]
+        _draw(axes, [np.histogram(group, edges)[0] for group in groups], edges)
         axes.axvline(threshold, color="0.5")
         axes.annotate(
             "threshold", (threshold, 1.03), xycoords=("data", "axes fraction"), ha="center"
@@ -160,25 +154,22 @@ def attribute_charts(gaussians: Gaussians, result: Result) -> list[Chart]:
 
 
 def _attribute_chart(title: str, unit: str, groups: Sequence[np.ndarray]) -> Chart:
-    (tampered, authentic), edges = shares(groups, ATTRIBUTE_BINS)
+    heights, edges = shares(groups, ATTRIBUTE_BINS)
 
     def plot(axes: "Axes") -> None:
-        _draw_tampered(axes, tampered, edges)
-        _draw_authentic(axes, authentic, edges)
+        _draw(axes, heights, edges)
         axes.set(ylim=(0, None), yticks=[], xlabel=unit)
         axes.locator_params(axis="x", nbins=5)
         axes.spines["left"].set_visible(False)
 
     medians = [np.median(group) for group in groups]
-    overlap = np.minimum(tampered, authentic).sum()
+    overlap = np.minimum(*heights).sum()
     text = f"Medians: {medians[0]:.3g}, others {medians[1]:.3g}; overlap {overlap:.0%}."
     return chart(plot, title=title, text=text, size=(3.1, 2.0))
 
 
-def _draw_tampered(axes: "Axes", heights: np.ndarray, edges: np.ndarray) -> None:
-    axes.stairs(heights, edges, fill=True, color="C0", alpha=0.35)
-    axes.stairs(heights, edges, color="C0", linewidth=1.2)
-
-
-def _draw_authentic(axes: "Axes", heights: np.ndarray, edges: np.ndarray) -> None:
-    axes.stairs(heights, edges, color="C1", linewidth=1.4, linestyle="--")
+def _draw(axes: "Axes", heights: Sequence[np.ndarray], edges: np.ndarray) -> None:
+    tampered, authentic = heights
+    axes.stairs(tampered, edges, fill=True, color="C0", alpha=0.35)
+    axes.stairs(tampered, edges, color="C0", linewidth=1.2)
+    axes.stairs(authentic, edges, color="C1", linewidth=1.4, linestyle="--")

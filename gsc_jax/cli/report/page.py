@@ -43,15 +43,15 @@ def report_page(
         images.append(view)
         monitor.progress("report", len(images), len(views))
     present = {image.layer for view in images for image in view}
-    style, script = _text("report.css"), _text("report.js")
-    return _template().render(
+    return complete_page(
+        "gsc_jax.cli.report",
+        "report",
         report=report,
         result=result,
         wording=wording,
         headline=wording.headline(report["verdict"], counts["tampered"]),
         candidates=wording.are_candidates(report["verdict"]),
-        conflict=report["judged_views"]
-        and wording.disagreement(report["verdict"], result.prior and result.prior.verdict),
+        conflict=wording.disagreement(report["verdict"], result.prior and result.prior.verdict),
         lead=wording.labels_sentence(
             counts["tampered"],
             counts["gaussians"],
@@ -69,9 +69,6 @@ def report_page(
         attributes=attribute_charts(located.scene.gaussians, result),
         files=_files(report["outputs"]),
         tables=_tables(report),
-        style=style,
-        script=script,
-        script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
     )
 
 
@@ -117,17 +114,26 @@ def _flat(value: Any, name: str = "") -> list[tuple[str, str]]:
     return [(name, value if isinstance(value, str) else json.dumps(value, ensure_ascii=False))]
 
 
-def _text(name: str) -> str:
-    return files("gsc_jax.cli.report").joinpath(name).read_text(encoding="utf-8")
+def complete_page(package: str, name: str, **values: Any) -> str:
+    """Render NAME.html of a package, complete with NAME.css and NAME.js, whose hash it allows.
 
-
-def _template():
+    All values are escaped, except where the filter `trusted` marks our own markup.
+    """
     import jinja2
     from markupsafe import Markup
+
+    def read(suffix: str) -> str:
+        return files(package).joinpath(f"{name}.{suffix}").read_text("utf-8")
 
     environment = jinja2.Environment(
         autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
     )
     filters = {"share": wording.share, "percent": wording.percent, "trusted": Markup}
     environment.filters |= filters
-    return environment.from_string(_text("report.html"))
+    digest = hashlib.sha256(read("js").encode()).digest()
+    return environment.from_string(read("html")).render(
+        style=read("css"),
+        script=read("js"),
+        script_hash=base64.b64encode(digest).decode(),
+        **values,
+    )

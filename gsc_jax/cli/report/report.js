@@ -93,3 +93,4 @@
   // Start with the view in which the labelled Gaussians are largest.
   select(views().reduce((a, b) => (+b.dataset.tampered > +a.dataset.tampered ? b : a)));
 }
+addEventListener("beforeprint", () => document.querySelectorAll("details").forEach((part) => (part.open = true)));

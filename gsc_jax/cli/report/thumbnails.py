@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import quote
 
-from gsc_jax.cli.pictures import jpeg_path
-from gsc_jax.io.masks import image_path
+from gsc_jax.cli.pictures import layer_path
 from gsc_jax.scene.parallel import bounded_map, view_threads
 
 LAYERS = {
@@ -45,12 +44,11 @@ def thumbnails(folder: Path, names: Sequence[str]) -> Iterator[list[Thumbnail]]:
     side = thumbnail_side(len(names))
 
     def of_view(name: str) -> list[Thumbnail]:
-        paths = {layer: image_path(folder / layer, name) for layer in ("detector", "masks")}
-        paths |= {layer: jpeg_path(folder / layer, name) for layer in ("render", "overlay")}
+        paths = {layer: layer_path(folder, layer, name) for layer in LAYERS}
         return [
-            Thumbnail(layer, data_uri(paths[layer], side), url(paths[layer], folder))
-            for layer in LAYERS
-            if paths[layer].is_file()
+            Thumbnail(layer, data_uri(path, side), url(path, folder))
+            for layer, path in paths.items()
+            if path.is_file()
         ]
 
     with view_threads() as pool:

@@ -31,7 +31,7 @@ def smooth(
     such, `means` (N, 3) centres in any unit. Gaussians that no view has `seen` (N,) get and send no
     message. `strength` is the log odds that `neighbours` contribute if all belong to one class.
     """
-    probability = softmax(logits, axis=-1)
+    probability = softmax(logits, axis=1)
     means = np.asarray(means)
     active = np.flatnonzero(seen & np.isfinite(means).all(axis=1))
     if tampered.all() or not tampered.any() or strength == 0 or len(active) <= neighbours:
@@ -45,5 +45,5 @@ def smooth(
         message = np.zeros_like(unary)
         for neighbour in nearest.T:
             message += probability[neighbour]
-        probability[rows] = softmax(unary + strength / neighbours * message, axis=-1)
+        probability[rows] = softmax(unary + strength / neighbours * message, axis=1)
     return probability

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+import pypdf
 import pytest
 from browser import Browser
 from PIL import Image
@@ -207,6 +208,28 @@ def test_page_follows_the_colour_scheme_and_fits_the_width(
     assert min(int(x) for x in light[4:-1].split(",")) > 200
     assert max(int(x) for x in dark[4:-1].split(",")) < 60
     assert browser.execute_script("return document.documentElement.scrollWidth") <= width
+    check_console(browser)
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_a_printed_page_has_the_findings_and_the_large_view(
+    browser: Browser, folder: Path, scheme: str
+):
+    """As a PDF of the browser on A4; folded parts, such as the SHA-256 of the inputs, are open."""
+    show(browser, folder, scheme=scheme)
+    settled(browser)
+    paper = {"paperWidth": 8.27, "paperHeight": 11.69}
+    printed = browser.execute_cdp_cmd("Page.printToPDF", paper)
+    document = pypdf.PdfReader(io.BytesIO(base64.b64decode(printed["data"])))
+    first, text = document.pages[0], " ".join(page.extract_text() for page in document.pages)
+    heading = browser.find_element(By.TAG_NAME, "h1").text
+    assert heading in " ".join(first.extract_text().split())
+    for words in ("scene probability", "5a5a5a5a", "jaxlib", NAMES[6]):
+        assert words.lower() in text.lower()
+    images = [image.image for page in document.pages for image in page.images]
+    assert max(image.width for image in images if image) >= LARGE, "the large view is missing"
+    assert "Keys:" not in text
+    assert len(document.pages) <= 9
     check_console(browser)
 
 

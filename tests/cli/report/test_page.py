@@ -13,7 +13,9 @@ import numpy as np
 import pytest
 from reports import HOSTILE, KINDS, Page, run, write
 from scipy.ndimage import binary_dilation
+from skimage.util import img_as_ubyte
 
+from gsc_jax import render
 from gsc_jax.cli.outputs import write_report, write_results
 from gsc_jax.cli.report import wording
 from gsc_jax.cli.report.thumbnails import LAYERS
@@ -179,13 +181,15 @@ def test_every_view_is_rendered_and_marked(tmp_path: Path):
     located, out = run(tmp_path, NAMES[:5]), tmp_path / "out"
     steps: list[tuple[str, int, int]] = []
     monitor = Monitor(progress=lambda *step: steps.append(step))
-    write_results(out, located.scene, located.cameras, located.result, monitor=monitor)
+    scene, cameras = located.scene, located.cameras
+    renders = {c.name: img_as_ubyte(render(scene.gaussians, c)[0]) for c in cameras}
+    write_results(out, scene, cameras, located.result, renders, monitor=monitor)
     write_report(out, {"scene": "x"}, located, monitor=monitor)
     assert len([*(out / "render").iterdir()]) == len([*(out / "overlay").iterdir()]) == 5
     assert (out / "overview.png").is_file()
     assert steps.count(("write", 5, 5)) == steps.count(("report", 5, 5)) == 1
-    render, marked = (iio.imread(out / kind / "view 00.jpg") for kind in ("render", "overlay"))
+    rendered, marked = (iio.imread(out / kind / "view 00.jpg") for kind in ("render", "overlay"))
     mask = located.result.masks["view 00"]
     inside = np.asarray(binary_dilation(mask, iterations=4), bool)
-    assert np.abs(render[inside].astype(int) - marked[inside]).mean() > 20
-    assert np.abs(render[~inside].astype(int) - marked[~inside]).mean() < 2
+    assert np.abs(rendered[inside].astype(int) - marked[inside]).mean() > 20
+    assert np.abs(rendered[~inside].astype(int) - marked[~inside]).mean() < 2

@@ -12,9 +12,9 @@ from hypothesis import given
 from scipy.ndimage import gaussian_filter
 from skimage.data import astronaut
 
-from gsc_jax.cli.pictures import overlay, write_jpeg
+from gsc_jax.cli.pictures import overlay
 from gsc_jax.cli.report.thumbnails import data_uri, thumbnail_side, url
-from gsc_jax.io.masks import write_mask, write_probability
+from gsc_jax.io.masks import write_image, write_mask, write_probability
 
 
 @given(st.text(st.characters(codec="utf-8", exclude_characters="\0"), min_size=1))
@@ -28,8 +28,8 @@ def test_url_leads_to_its_file_for_any_name(name: str):
 def test_two_hundred_views_fit_into_an_email(tmp_path: Path):
     picture = astronaut()[:384] / 255  # as detailed as a photograph, aspect ratio 4:3
     mask = picture[..., 0] > 0.7
-    write_jpeg(tmp_path / "render.jpg", picture)
-    write_jpeg(tmp_path / "overlay.jpg", overlay(picture, mask))
+    write_image(tmp_path / "render.jpg", picture)
+    write_image(tmp_path / "overlay.jpg", overlay(picture, mask))
     write_mask(tmp_path / "masks.png", mask)
     write_probability(tmp_path / "detector.png", gaussian_filter(mask.astype(float), 3))
     side = thumbnail_side(200)
@@ -39,7 +39,7 @@ def test_two_hundred_views_fit_into_an_email(tmp_path: Path):
 
 
 def test_thumbnail_keeps_shape_and_colours(tmp_path: Path):
-    write_jpeg(tmp_path / "wide.jpg", np.full((90, 640, 3), (0.8, 0.2, 0.4)))
+    write_image(tmp_path / "wide.jpg", np.full((90, 640, 3), (0.8, 0.2, 0.4)))
     write_mask(tmp_path / "high.png", np.arange(700)[:, None] < np.full(40, 350))
     pixels = [
         iio.imread(base64.b64decode(data_uri(tmp_path / name, 320).partition(",")[2]))

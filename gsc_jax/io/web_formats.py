@@ -1,0 +1,102 @@
+"""Scenes of web viewers: `.splat` (of antimatter15) and `.glb` (glTF, KHR_gaussian_splatting).
+
+They hold scales and opacities as they are, not their logarithms or log odds. A `.splat` has 32
+bytes a Gaussian and no view-dependent colour. In a `.glb`, rotations are xyzw, and up is +y. The
+axes stay as they are in the file.
+"""
+
+import json
+import struct
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gsc_jax.io.files import check_allocation
+from gsc_jax.io.tables import BYTES_PER_CHARACTER
+from gsc_jax.render.spherical_harmonics import Y0
+from gsc_jax.scene import Gaussians
+
+LEVELS = 255
+SPLAT = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)])
+GLTF = "KHR_gaussian_splatting"
+GLTF_TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5126: "<f4"}
+PLACES = {"matrix", "translation", "rotation", "scale"}
+
+
+def read_splat(path: Path, _: int | None = None) -> Gaussians:
+    """Read all rows of a .splat file, NumPy float32; ValueError if it is cut short."""
+    rows = np.frombuffer(path.read_bytes(), SPLAT)
+    quats, shares = (rows["quat"] - np.float32(128)) / 128, rows["rgba"] / np.float32(LEVELS)
+    sh = (shares[:, None, :3] - 0.5) / Y0
+    return _gaussians(rows["mean"], rows["scale"], quats, shares[:, 3:], sh)
+
+
+def read_glb(path: Path, max_bytes: int | None = None) -> Gaussians:
+    """Read all Gaussians of a .glb file; ValueError or KeyError if it is damaged or unknown.
+
+    Where a node places the scene is ignored, and refused if there are several primitives.
+    """
+    data = path.read_bytes()
+    magic, version, _, length, kind = struct.unpack_from("<4s2I I4s", data)
+    if (magic, version, kind) != (b"glTF", 2, b"JSON"):
+        raise ValueError("no binary glTF of version 2")
+    check_allocation(path, BYTES_PER_CHARACTER * length, max_bytes)
+    tree, binary = json.loads(data[20 : 20 + length]), data[28 + length :]
+    primitives = [primitive for mesh in tree["meshes"] for primitive in mesh["primitives"]]
+    found = [one for one in primitives if GLTF in one.get("extensions", {})]
+    if not found:
+        raise ValueError(f"no primitive with {GLTF}")
+    if len(found) > 1 and any(PLACES & set(node) for node in tree.get("nodes", [])):
+        raise ValueError("several primitives, and nodes that move them")
+    parts = [_gltf_primitive(tree, binary, primitive["attributes"]) for primitive in found]
+    return _gaussians(*map(np.concatenate, zip(*parts, strict=True)))
+
+
+def _gltf_primitive(
+    tree: dict[str, Any], binary: bytes, attributes: Mapping[str, int]
+) -> tuple[np.ndarray, ...]:
+    """Means, scales, rotations, opacities and harmonics of one primitive of the file."""
+
+    def column(name: str) -> np.ndarray:
+        return _accessor(tree, binary, tree["accessors"][attributes[name]])
+
+    terms = sorted(name for name in attributes if name.startswith(f"{GLTF}:SH_DEGREE_"))
+    sh = np.stack([column(name) for name in terms], axis=1)
+    quats, opacities = column(f"{GLTF}:ROTATION")[:, [3, 0, 1, 2]], column(f"{GLTF}:OPACITY")
+    columns = column("POSITION"), column(f"{GLTF}:SCALE"), quats, opacities, sh
+    if len(set(map(len, columns))) > 1:
+        raise ValueError("columns of different lengths")
+    return columns
+
+
+def _accessor(tree: dict[str, Any], binary: bytes, accessor: dict[str, Any]) -> np.ndarray:
+    """Numbers of an accessor, shape (count, width) float32; normalised integers are in [-1, 1]."""
+    view = tree["bufferViews"][accessor["bufferView"]]
+    if "sparse" in accessor or view["buffer"] or "uri" in tree["buffers"][0]:
+        raise ValueError("sparse numbers, or numbers in another file")
+    kind = np.dtype(GLTF_TYPES[accessor["componentType"]])
+    width = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}[accessor["type"]]
+    start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+    count, stride = accessor["count"], view.get("byteStride", kind.itemsize * width)
+    if count * stride > len(binary) + stride or stride < kind.itemsize:
+        raise ValueError("more numbers than the file holds")
+    numbers = np.ndarray((count, width), kind, binary, start, (stride, kind.itemsize))
+    values = numbers.astype(np.float32)
+    if accessor.get("normalized"):
+        values = np.maximum(values / np.iinfo(kind).max, -1)
+    return values
+
+
+def _gaussians(
+    means: np.ndarray, scales: np.ndarray, quats: np.ndarray, opacities: np.ndarray, sh: np.ndarray
+) -> Gaussians:
+    """N Gaussians from linear scales (N, 3) and opacities from 0 to 1, shape (N, 1)."""
+    # Half a step from 0 and 1, whose log odds are infinite.
+    opacities = np.clip(opacities[:, 0], 0.5 / LEVELS, 1 - 0.5 / LEVELS)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        log_scales, logits = np.log(scales), np.log(opacities / (1 - opacities))
+    columns = {"means": means, "log_scales": log_scales, "quats": quats}
+    columns |= {"logit_opacities": logits, "sh": sh}
+    return Gaussians(**{name: np.asarray(c, np.float32) for name, c in columns.items()})

@@ -26,17 +26,24 @@ START = (
     "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler);"
     "from gsc_jax.__main__ import main; sys.exit(main())"
 )
+SLOW_REPORT = (
+    "import time, gsc_jax.cli.outputs as outputs;"
+    "outputs.report_page = lambda *given, **options: time.sleep(600);"
+)
+"""Stands for a report that takes long, so that a signal always arrives before the end of a run."""
 EXIT_SECONDS = 60
 """Longest time to exit after a signal on a busy machine; usually one or two seconds."""
 
 
 @contextlib.contextmanager
-def started(cache: Path, *argv: object, paths: tuple[Path, ...] = ()) -> Iterator[subprocess.Popen]:
-    """`gsc-jax` as a process with its own cache."""
+def started(
+    cache: Path, *argv: object, paths: tuple[Path, ...] = (), first: str = ""
+) -> Iterator[subprocess.Popen]:
+    """`gsc-jax` as a process with its own cache, after the statements `first`."""
     places = os.pathsep.join(map(str, [*paths, ROOT]))
     environment = {**os.environ, "XDG_CACHE_HOME": str(cache), "PYTHONPATH": places}
     process = subprocess.Popen(
-        [sys.executable, "-c", START, *map(str, argv)],
+        [sys.executable, "-c", first + START, *map(str, argv)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -98,7 +105,8 @@ def test_while_the_package_is_imported(tmp_path):
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_while_results_are_written(case, tmp_path, number):
     out = tmp_path / "new" / "out"
-    with started(tmp_path / "cache", *given(case), "--out", out) as process:
+    argv = [*given(case), "--out", out]
+    with started(tmp_path / "cache", *argv, first=SLOW_REPORT) as process:
         pattern = f"new/out/{UNFINISHED}/new/tamper.ply"
         interrupt(process, lambda: list(tmp_path.glob(pattern)), number)
     assert [path.name for path in out.glob("*")] == [UNFINISHED], "the views stay for the next run"

@@ -24,6 +24,7 @@ import tyro
 
 import gsc_jax
 from gsc_jax.cli.cache import cache_folder, enable_compilation_cache
+from gsc_jax.cli.check import Check, run_check
 from gsc_jax.cli.config_file import read_config_file
 from gsc_jax.cli.demo import run_demo
 from gsc_jax.cli.evaluate import run_evaluate
@@ -40,13 +41,14 @@ from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.io.validation import printable
 from gsc_jax.scene import InputError
 
-Command = Locate | Scan | Render | Tamper | Evaluate | Verify | View | Demo
+Command = Locate | Scan | Render | Tamper | Evaluate | Check | Verify | View | Demo
 COMMANDS: dict[str, type] = {
     "locate": Locate,
     "scan": Scan,
     "render": Render,
     "tamper": Tamper,
     "evaluate": Evaluate,
+    "check": Check,
     "verify": Verify,
     "view": View,
     "demo": Demo,
@@ -180,6 +182,8 @@ def _answer(command: Command, monitor: Monitor) -> Answer:
     match command:
         case Evaluate():
             return run_evaluate(command)
+        case Check():
+            return run_check(command, say=_say)
         case Verify():
             return run_verify(command)
         case View():

@@ -112,7 +112,7 @@ def _nearest(described: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarr
     from scipy.spatial import KDTree
 
     # A KDTree degenerates where many points are equal: it gets one of them.
-    hashes = _row_hashes(described)
+    hashes = row_hashes(described)
     order = np.argsort(hashes, kind="stable")
     new = np.append(True, np.diff(hashes[order]) != 0)
     alone, rows = new & np.roll(new, -1), np.empty(len(order), np.int32)
@@ -128,7 +128,7 @@ def _nearest(described: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarr
     return distances, rows
 
 
-def _row_hashes(rows: np.ndarray) -> np.ndarray:
+def row_hashes(rows: np.ndarray) -> np.ndarray:
     """Hash of each row (N, D) float32, equal for equal rows, shape (N,) uint64."""
     keys = np.random.default_rng(0).integers(1, 2**63, rows.shape[1], dtype=np.uint64) | np.uint64(
         1

@@ -21,6 +21,7 @@ NORMAL = ("nx", "ny", "nz")
 DC = ("f_dc_0", "f_dc_1", "f_dc_2")
 SCALE = ("scale_0", "scale_1", "scale_2")
 ROTATION = ("rot_0", "rot_1", "rot_2", "rot_3")
+REST = tuple(f"f_rest_{index}" for index in range(45))
 REST_COUNTS = (0, 9, 24, 45)
 """Number of `f_rest_*` properties by degree of the spherical harmonics, 0 to 3."""
 
@@ -59,7 +60,7 @@ def encode(gaussians: Gaussians) -> "PlyData":
 
     host = jax.tree.map(np.asarray, gaussians)
     rests = 3 * host.sh.shape[1] - 3
-    names = [*POSITION, *NORMAL, *DC, *(f"f_rest_{i}" for i in range(rests))]
+    names = [*POSITION, *NORMAL, *DC, *REST[:rests]]
     names += ["opacity", *SCALE, *ROTATION]
     table = np.zeros((len(host), len(names)), "<f4")  # filled in place: a scene may fill the memory
     parts = {
@@ -98,7 +99,7 @@ def _rest_names(vertex: "PlyElement", path: Path) -> tuple[str, ...]:
             f"{path}: has {count} f_rest properties, expected 0, 9, 24 or 45 (spherical harmonics "
             "of degree 0 to 3); export the scene again"
         )
-    return tuple(f"f_rest_{i}" for i in range(count))
+    return REST[:count]
 
 
 def _check_numeric(vertex: "PlyElement", names: tuple[str, ...], path: Path) -> None:

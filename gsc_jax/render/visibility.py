@@ -60,7 +60,7 @@ def check_views(
         raise InputError(f"the cameras see {share_ahead:.2%} of the Gaussians{advice}")
     if share < MIN_SHARE:
         raise InputError(_near_message(depths, near))
-    warnings = _scale_warnings(gaussians, points)
+    warnings = scale_warnings(gaussians, points)
     if seen.sum() < 0.5 * (depths > 0).sum():
         warnings.append(_near_message(depths, near))
     if share < LOW_SHARE:
@@ -106,7 +106,7 @@ def _better_convention(
     )
 
 
-def _scale_warnings(gaussians: Gaussians, points: np.ndarray) -> list[str]:
+def scale_warnings(gaussians: Gaussians, points: np.ndarray) -> list[str]:
     """Warn if the scales look as if they were stored linearly: every Gaussian is then huge."""
     log_scales = np.asarray(gaussians.log_scales)
     extent = np.ptp(np.percentile(points, [10, 90], axis=0), axis=0).max()

@@ -1,4 +1,4 @@
-"""The charts of the report: histogram of the scores, distributions of attributes (GS-Checker).
+"""The chart of the report: the histogram of the scores.
 
 The two groups differ in shape as well as in colour: tampered is filled, authentic a dashed line. A
 chart is an SVG of matplotlib in the colours of a light and of a dark scheme, of which the page
@@ -8,17 +8,12 @@ selects one. Colours C0 (tampered) and C1 (authentic) repeat those of report.css
 import dataclasses
 import io
 from base64 import b64encode
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-import jax
 import numpy as np
 
-from gsc_jax.io.ply import LUMA
 from gsc_jax.locate import Result
-from gsc_jax.render.spherical_harmonics import Y0
-from gsc_jax.scene import Gaussians
-from gsc_jax.scene.parallel import in_blocks
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -66,47 +61,8 @@ def chart(
     return Chart(title, text, *uris)
 
 
-MIN_LOG_SCALE = -30.0
-"""Floor of log scales: flat Gaussians are stored with scales down to exp(-100)."""
-MAX_SAMPLE = 2**19
-"""More Gaussians would change no chart visibly, and take memory."""
-
-
-def shares(groups: Sequence[np.ndarray], bins: int) -> tuple[list[np.ndarray], np.ndarray]:
-    """Share of each group per bin, and the edges of the bins.
-
-    The bins span the 0.5% to 99.5% quantiles of all groups; the outermost include the rest.
-    """
-    quantiles = np.concatenate([np.quantile(group, [0.005, 0.995]) for group in groups])
-    low, high = float(quantiles.min()), float(quantiles.max())
-    margin = max(high - low, 1e-6 * max(abs(low), 1.0)) / bins
-    edges = np.linspace(low - margin, high + margin, bins + 1)
-    clipped = [np.clip(group, edges[0], edges[-1]) for group in groups]
-    return [np.histogram(group, edges)[0] / len(group) for group in clipped], edges
-
-
-def attributes(gaussians: Gaussians) -> Iterator[tuple[str, str, np.ndarray]]:
-    """Title, unit and values (N,) of each attribute."""
-    log_scales = np.maximum(np.asarray(gaussians.log_scales, np.float64), MIN_LOG_SCALE)
-    decades = log_scales / np.log(10)
-    sh = np.asarray(gaussians.sh)
-    rgb = 0.5 + Y0 * sh[:, 0].astype(np.float64)
-    quats = np.asarray(gaussians.quats, np.float64)  # a zero one is no rotation
-    cos_half_angle = (np.abs(quats[:, 0]) + 1e-30) / (np.linalg.norm(quats, axis=1) + 1e-30)
-    yield "Opacity", "from 0 to 1", 0.5 + 0.5 * np.tanh(np.asarray(gaussians.logit_opacities) / 2)
-    yield "Size", "log10 of the mean scale, scene units", decades.mean(axis=1)
-    yield "Anisotropy", "log10 of longest to shortest axis", np.ptp(decades, axis=1)
-    yield "Rotation", "angle in degrees", np.degrees(2 * np.arccos(cos_half_angle))
-    yield "Luminance", "of the base colour", rgb @ LUMA
-    yield "Saturation", "of the base colour, max minus min", np.ptp(rgb, axis=1)
-    if sh.shape[1] > 1:
-        rms = np.sqrt(in_blocks(lambda rest: np.asarray(np.mean(rest**2, axis=(1, 2))), sh[:, 1:]))
-        yield "View dependence", "log10 RMS of the harmonics", np.log10(rms + 1e-6)
-
-
 SCORE_BINS = 50
 """Bins of width 0.02, so that the thresholds of all methods (0.1 and 0.5) lie between two bins."""
-ATTRIBUTE_BINS = 60
 
 
 def score_histogram(result: Result) -> Chart:
@@ -116,8 +72,11 @@ def score_histogram(result: Result) -> Chart:
     edges = np.linspace(0, 1, SCORE_BINS + 1)
 
     def plot(axes: "Axes") -> None:
-        groups = scores[labels], scores[~labels]
-        _draw(axes, [np.histogram(group, edges)[0] for group in groups], edges)
+        tampered, authentic = (np.histogram(scores[x], edges)[0] for x in (labels, ~labels))
+        axes.stairs(tampered, edges, fill=True, color="C0", alpha=0.35, label="labelled")
+        axes.stairs(tampered, edges, color="C0", linewidth=1.2)
+        axes.stairs(authentic, edges, color="C1", linestyle="--", label="others")
+        axes.legend(loc="upper center", frameon=False)
         axes.axvline(threshold, color="0.5")
         axes.annotate(
             "threshold", (threshold, 1.03), xycoords=("data", "axes fraction"), ha="center"
@@ -134,42 +93,3 @@ def score_histogram(result: Result) -> Chart:
         "scale."
     )
     return chart(plot, title="Histogram of the scores", text=text, size=(4.4, 3.0))
-
-
-def attribute_charts(gaussians: Gaussians, result: Result) -> list[Chart]:
-    """A chart per attribute of the visible tampered and authentic Gaussians; none without both.
-
-    Of large scenes, at most `MAX_SAMPLE` Gaussians at even distances in the file are used.
-    """
-    sample = slice(None, None, -(-len(result.labels) // MAX_SAMPLE) or None)
-    host = jax.tree.map(np.asarray, gaussians).take(sample)
-    labels, seen = result.labels[sample], result.seen[sample]
-    groups = seen & labels, seen & ~labels
-    if not all(group.any() for group in groups):
-        return []
-    return [
-        _attribute_chart(title, unit, [values[group] for group in groups])
-        for title, unit, values in attributes(host)
-    ]
-
-
-def _attribute_chart(title: str, unit: str, groups: Sequence[np.ndarray]) -> Chart:
-    heights, edges = shares(groups, ATTRIBUTE_BINS)
-
-    def plot(axes: "Axes") -> None:
-        _draw(axes, heights, edges)
-        axes.set(ylim=(0, None), yticks=[], xlabel=unit)
-        axes.locator_params(axis="x", nbins=5)
-        axes.spines["left"].set_visible(False)
-
-    medians = [np.median(group) for group in groups]
-    overlap = np.minimum(*heights).sum()
-    text = f"Medians: {medians[0]:.3g}, others {medians[1]:.3g}; overlap {overlap:.0%}."
-    return chart(plot, title=title, text=text, size=(3.1, 2.0))
-
-
-def _draw(axes: "Axes", heights: Sequence[np.ndarray], edges: np.ndarray) -> None:
-    tampered, authentic = heights
-    axes.stairs(tampered, edges, fill=True, color="C0", alpha=0.35)
-    axes.stairs(tampered, edges, color="C0", linewidth=1.2)
-    axes.stairs(authentic, edges, color="C1", linewidth=1.4, linestyle="--")

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from gsc_jax.cli.report import wording
-from gsc_jax.cli.report.charts import attribute_charts, score_histogram
+from gsc_jax.cli.report.charts import score_histogram
 from gsc_jax.cli.report.thumbnails import LAYERS, Thumbnail, thumbnails
 from gsc_jax.cli.report.wording import Located
 from gsc_jax.cli.staging import OUTPUTS
@@ -66,7 +66,6 @@ def report_page(
         ),
         layers={name: title for name, title in LAYERS.items() if name in present},
         histogram=score_histogram(result),
-        attributes=attribute_charts(located.scene.gaussians, result),
         files=_files(report["outputs"]),
         tables=_tables(report),
     )

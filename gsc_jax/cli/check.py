@@ -1,0 +1,180 @@
+"""`gsc-jax check`: is a 3DGS file sound, and what will viewers make of it?"""
+
+import dataclasses
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
+
+import numpy as np
+import tyro
+
+from gsc_jax.cli.options import Switch, arg
+from gsc_jax.cli.ownership import has_mark
+from gsc_jax.forensics.copy_move import row_hashes
+from gsc_jax.io.compressed import SUFFIXES
+from gsc_jax.io.files import memory_limit
+from gsc_jax.io.layout import DC, NORMAL, POSITION, REST, ROTATION, SCALE
+from gsc_jax.io.ply import PlyScene, read_ply
+from gsc_jax.render.spherical_harmonics import Y0
+from gsc_jax.render.visibility import scale_warnings
+from gsc_jax.scene import Gaussians, InputError
+
+if TYPE_CHECKING:
+    from plyfile import PlyData
+
+INRIA = (*POSITION, *NORMAL, *DC, *REST, "opacity", *SCALE, *ROTATION)
+INVISIBLE = 1 / 255
+"""Opacity below which rasterisers skip a Gaussian."""
+FAR, FLAT, NEEDLE, UNIT_TOLERANCE = 100, 1e-7, 1e4, 1e-3
+"""Extremes: distance and least size in spreads of the scene, ratio of axes, |length - 1|."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Check:
+    """Check a 3DGS file: its layout, its numbers, and what viewers will make of them.
+
+    for example:
+      gsc-jax check scene.ply
+      gsc-jax check scene.spz --json
+
+    exit code:
+      0 if the scene can be used, also with warnings; 2 if not
+
+    Attributes:
+        scene: A scene of any format that `locate` reads.
+        json: Print JSON, with the keys file, usable, format, rows, gaussians, sh_degree, problems
+            and error.
+        memory: Memory in GiB that may be used; a file that expands to more is refused.
+    """
+
+    scene: Annotated[tyro.conf.Positional[Path], arg("FILE")]
+    json: Switch = False
+    memory: Annotated[float | None, arg("GIB", "half of the machine's")] = None
+
+
+class Problem(NamedTuple):
+    """Something unusual in `rows` rows, 0 where it concerns the whole file.
+
+    A warning may change what is shown, or what a program can read; a note is harmless as a rule.
+    """
+
+    level: Literal["warning", "note"]
+    name: str
+    rows: int
+    text: str
+
+
+def run_check(options: Check, *, say: Callable[[str], None]) -> tuple[list[str], list[str]]:
+    """Check a file: lines to print, and warnings; a file that cannot be used raises InputError.
+
+    With --json, the error is printed as JSON, too, with `say`.
+    """
+    path = options.scene
+    try:
+        scene = read_ply(path, max_bytes=memory_limit(options.memory))
+    except InputError as error:
+        if options.json:
+            failed = {"file": str(path), "usable": False, "problems": [], "error": str(error)}
+            say(json.dumps(failed, indent=2))
+        raise
+    problems = [*layout_problems(scene.ply), *row_problems(scene)]
+    facts = {
+        "format": _format(path, scene.ply),
+        "rows": scene.total,
+        "gaussians": len(scene.rows),
+        "sh_degree": scene.gaussians.sh_degree,
+    }
+    if options.json:
+        found = [problem._asdict() for problem in problems]
+        report = {"file": str(path), "usable": True, **facts, "problems": found, "error": None}
+        return [json.dumps(report, indent=2)], []
+    counts = [sum(p.level == level for p in problems) for level in ("warning", "note")]
+    return [
+        f"{path}: can be used; {counts[0]} warnings, {counts[1]} notes",
+        f"format   {facts['format']}, {scene.total:,} rows, degree {facts['sh_degree']}",
+        *(f"{p.level:8} {f'{p.rows:,} rows: ' if p.rows else ''}{p.text}" for p in problems),
+    ], []
+
+
+def layout_problems(ply: "PlyData") -> Iterator[Problem]:
+    """What readers other than this package may not expect of the layout of a PLY file."""
+    vertex = ply["vertex"]
+    names = [prop.name for prop in vertex.properties]
+    other = [name for name in names if name not in INRIA]
+    if ply.text or ply.byte_order == ">":
+        kind = "text" if ply.text else "big endian"
+        yield Problem("warning", "encoding", 0, f"is {kind}; most viewers read little endian only")
+    types = {vertex.data.dtype[name].base.newbyteorder("<").str for name in names if name in INRIA}
+    if types != {"<f4"}:
+        text = f"numbers are {', '.join(sorted(types))}; many viewers read float32 (<f4) only"
+        yield Problem("warning", "types", 0, text)
+    known = [name for name in INRIA if name in names]
+    if names[: len(known)] != known:
+        text = "the order of the properties is not that of INRIA; readers by position misread it"
+        yield Problem("warning", "order", 0, text)
+    elif not set(NORMAL) <= set(names):
+        text = "has no normals, which INRIA's viewer expects between positions and colours"
+        yield Problem("note", "normals", 0, text)
+    if SCALE[2] not in names:
+        yield Problem("warning", "discs", 0, "is a 2DGS file; viewers of 3DGS miss scale_2")
+    others = [element.name for element in ply.elements if element is not vertex]
+    if other or others:
+        text = f"has what viewers ignore, and programs may drop: {', '.join([*other, *others])}"
+        yield Problem("note", "unknown", 0, text)
+
+
+def row_problems(scene: PlyScene) -> Iterator[Problem]:
+    """Gaussians that cannot be rendered, and extreme values among the others."""
+    for reason, count in scene.dropped.items():
+        text = f"{reason}; left out here, in viewers it may hide the scene or end the program"
+        yield Problem("warning", reason, count, text)
+    gaussians = scene.gaussians
+    means = np.asarray(gaussians.means, np.float64)
+    for text in scale_warnings(gaussians, means):
+        yield Problem("warning", "linear scales", 0, text)
+    for level, name, rows, text in _extremes(gaussians, means):
+        if count := int(np.count_nonzero(rows)):
+            yield Problem(level, name, count, text)
+    logits = np.asarray(gaussians.logit_opacities)
+    if logits.min() >= 0 and logits.max() <= 1 and np.ptp(logits):
+        text = "all opacities are from 0 to 1: they may not have been stored as log odds"
+        yield Problem("warning", "linear opacities", 0, text)
+
+
+def _extremes(
+    gaussians: Gaussians, means: np.ndarray
+) -> Iterator[tuple[Literal["warning", "note"], str, np.ndarray, str]]:
+    """Level, name, rows (N,) bool, and what they mean."""
+    middle, ends = np.median(means, axis=0), np.percentile(means, [1, 99], axis=0)
+    spread = max(float(np.linalg.norm(ends[1] - ends[0])), 1e-30)
+    with np.errstate(over="ignore"):
+        scales = np.sort(np.exp(np.asarray(gaussians.log_scales, np.float64)), axis=1)
+        length = np.linalg.norm(np.asarray(gaussians.quats, np.float64), axis=1)
+        ratio = scales[:, 2] / np.maximum(scales[:, 1], 1e-30)
+    rgb = 0.5 + Y0 * np.asarray(gaussians.sh)[:, 0]
+    columns = [np.asarray(x).reshape(len(means), -1) for x in vars(gaussians).values()]
+    hashes = row_hashes(np.concatenate(columns, axis=1))
+    copies = np.ones(len(means), bool)
+    copies[np.unique(hashes, return_index=True)[1]] = False
+    far = np.linalg.norm(means - middle, axis=1) > FAR * spread
+    yield "warning", "far", far, "far outside the scene; a viewer that frames all shows a dot"
+    huge = scales[:, 2] > spread
+    yield "warning", "huge", huge, "larger than the scene; haze, or a wall before the camera"
+    yield "warning", "copies", copies, "exact copies of others, which are blended twice"
+    wild = np.abs(rgb - 0.5).max(axis=1) > 5
+    yield "warning", "colours", wild, "base colours far beyond 0 to 1; are they in 0 to 255?"
+    yield "note", "needles", ratio > NEEDLE, "needles; they flicker at low resolution"
+    yield "note", "flat", scales[:, 2] < FLAT * spread, "too small to be seen"
+    invisible = np.asarray(gaussians.opacities) < INVISIBLE
+    yield "note", "invisible", invisible, "opacity below 1/255; no viewer shows them"
+    text = "rotations are not unit quaternions; viewers normalise them, some converters do not"
+    yield "note", "rotations", abs(length - 1) > UNIT_TOLERANCE, text
+
+
+def _format(path: Path, ply: "PlyData") -> str:
+    suffix = path.suffix.lower()
+    if suffix in SUFFIXES or has_mark(path, "packed_position"):
+        return suffix if suffix in SUFFIXES else ".compressed.ply"
+    orders = {"<": "little", ">": "big"}
+    return "ascii .ply" if ply.text else f"binary {orders.get(ply.byte_order, '')} endian .ply"

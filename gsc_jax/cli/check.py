@@ -76,7 +76,8 @@ def run_check(options: Check, *, say: Callable[[str], None]) -> tuple[list[str],
     except InputError as error:
         if options.json:
             failed = {"file": str(path), "usable": False, "problems": [], "error": str(error)}
-            say(json.dumps(failed, indent=2))
+            for line in json.dumps(failed, indent=2).splitlines():
+                say(line)
         raise
     problems = [*layout_problems(scene.ply), *row_problems(scene)]
     facts = {
@@ -88,7 +89,7 @@ def run_check(options: Check, *, say: Callable[[str], None]) -> tuple[list[str],
     if options.json:
         found = [problem._asdict() for problem in problems]
         report = {"file": str(path), "usable": True, **facts, "problems": found, "error": None}
-        return [json.dumps(report, indent=2)], []
+        return json.dumps(report, indent=2).splitlines(), []
     counts = [sum(p.level == level for p in problems) for level in ("warning", "note")]
     return [
         f"{path}: can be used; {counts[0]} warnings, {counts[1]} notes",

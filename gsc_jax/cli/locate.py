@@ -179,8 +179,8 @@ def dry_run(options: Locate, *, monitor: Monitor) -> tuple[list[str], list[str]]
 def _views(inputs: Inputs) -> str:
     sizes = [(camera.width, camera.height) for camera in inputs.cameras]
     pixels = " to ".join(f"{w} x {h}" for w, h in dict.fromkeys((min(sizes), max(sizes))))
-    cameras = inputs.options.cameras
-    return f"{len(sizes)} of {pixels} pixels, {f'from {cameras}' if cameras else 'on an orbit'}"
+    source = inputs.options.cameras or "cameras that were placed around the scene"
+    return f"{len(sizes)} of {pixels} pixels, from {source}"
 
 
 def _evidence(inputs: Inputs) -> list[str]:

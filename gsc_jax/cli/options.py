@@ -47,6 +47,8 @@ class SceneOptions:
             them. Without it, cameras are placed on an orbit around the scene.
         views: Use only this many cameras, evenly spaced in their order. On an orbit: the number of
             cameras, by default 24, or 12 without a 2D detector.
+        up: Up direction for an orbit: x, -x, y, -y, z, -z, or three numbers as 0,0,1. By default +y
+            for .glb, else that of the floor, or -y if no floor stands out.
         scale: Image size relative to the size in the camera file.
         near: Near plane in world units; anything closer to a camera is not rendered.
         seed: Seed of everything random.
@@ -58,6 +60,7 @@ class SceneOptions:
     out: Annotated[Path, arg("DIR")]
     cameras: Annotated[Path | None, arg("FILE_OR_DIR", "an orbit")] = None
     views: Annotated[int | None, arg("N", "all")] = None
+    up: Annotated[str | None, arg("AXIS", "that of the floor")] = None
     scale: Annotated[float, arg("S")] = 1.0
     near: Annotated[float, arg("DEPTH")] = NEAR
     seed: Annotated[int, arg("K")] = 0

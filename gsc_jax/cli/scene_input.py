@@ -12,12 +12,14 @@ from gsc_jax.io.cameras import load_cameras
 from gsc_jax.io.files import memory_limit
 from gsc_jax.io.masks import image_path
 from gsc_jax.io.ply import PlyScene, read_ply
+from gsc_jax.render.interior import moved_indoors
 from gsc_jax.render.orbit import orbit_cameras
+from gsc_jax.render.up import estimated_up, parse_up, up_text
 from gsc_jax.scene import Camera, Gaussians, InputError
 
 ORBIT_VIEWS, PREVIEW_VIEWS = 24, 12
 """Number of cameras on an orbit: one every 15 degrees, or 30 where views only show a result."""
-Y_UP = (".glb",)  # formats whose vertical is +y; -y in most others
+Y_UP = (".glb",)  # formats whose vertical is +y
 MIN_SIDE_PIXELS, MAX_PIXELS = 8, 50_000_000
 """Limits of image sizes; beyond them, the camera or --scale is most likely a typing error."""
 
@@ -32,6 +34,9 @@ def check_numbers(options: SceneOptions) -> None:
             raise InputError(f"--{flag} {value:g}: expected a positive number")
     if options.seed < 0:
         raise InputError(f"--seed {options.seed}: expected 0 or more")
+    if options.up is not None and options.cameras is not None:
+        raise InputError("--up: is for an orbit, which --cameras replaces; leave out one of them")
+    parse_up(options.up or "y")
 
 
 def read_scene(
@@ -59,11 +64,14 @@ def _read_cameras(
     if options.cameras is not None:
         cameras = load_cameras(options.cameras, max_bytes=memory_limit(options.memory))
     else:
-        up = 1 if options.scene.suffix.lower() in Y_UP else -1
-        cameras = orbit_cameras(gaussians, count, up=(0, up, 0), seed=options.seed)
+        known = options.up or ("y" if options.scene.suffix.lower() in Y_UP else None)
+        up = parse_up(known) if known else estimated_up(gaussians)
+        orbit = orbit_cameras(gaussians, count, up=up, seed=options.seed)
+        indoors = moved_indoors(gaussians, orbit, up)
+        cameras, place = indoors or orbit, "in and around the room" if indoors else "on an orbit"
         warnings.append(
-            f"no --cameras given: {count} cameras were placed on an orbit around the scene, "
-            f"{'-+'[up > 0]}y up, and written beside the results; those of the training are better"
+            f"no --cameras given: {count} cameras were placed {place}, with {up_text(up)} as the "
+            "up direction (--up), and written beside the results; those of the training are better"
         )
     scaled = [camera.scaled(options.scale) for camera in cameras]
     for camera in scaled:

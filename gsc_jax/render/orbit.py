@@ -67,7 +67,7 @@ def orbit_cameras(
             "expected at least one camera, whole numbers of cameras and pixels, an angle from "
             "0.01 to 179, and a direction of three numbers"
         )
-    (width, height), (center, radius) = size, _extent(gaussians)
+    (width, height), (center, radius) = size, scene_extent(gaussians)
     focal = 0.5 * width / np.tan(0.5 * np.radians(fov_degrees))
     distance = DISTANCE_MARGIN * radius / np.sin(np.arctan(0.5 * min(size) / focal))
     up = up / np.linalg.norm(up)
@@ -91,7 +91,7 @@ def opaque_means(gaussians: Gaussians) -> np.ndarray:
     return means[opaque] if opaque.any() else means
 
 
-def _extent(gaussians: Gaussians) -> tuple[np.ndarray, float]:
+def scene_extent(gaussians: Gaussians) -> tuple[np.ndarray, float]:
     """Centre and radius of a scene; the radius is at least three standard deviations."""
     gaussians = gaussians.take(np.flatnonzero(usable_rows(gaussians)))
     if not len(gaussians):

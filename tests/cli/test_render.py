@@ -8,11 +8,14 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 from cli_case import FIXTURES, NAMES, contents, given, refused, run
+from scipy.spatial.transform import Rotation
 from strategies import random_scene
 from web_files import WRITERS
 
+from gsc_jax.benchmark.scenes import make_room
 from gsc_jax.io.cameras import load_cameras, save_cameras
 from gsc_jax.io.masks import image_path, write_mask
+from gsc_jax.io.ply import save_ply
 
 case, found, own_cache = FIXTURES
 
@@ -49,7 +52,41 @@ def test_the_orbit_of_a_glb_has_y_upwards(tmp_path, name, up):
     assert answer.code == 0
     cameras = load_cameras(tmp_path / "views" / "cameras.json")
     assert all(up * -camera.viewmat[1, 1] > 0 for camera in cameras), "the scene is upside down"
-    assert f"{'+' if up > 0 else '-'}y up" in answer.err
+    assert f"with {'-y'[up > 0 :]} as the up direction" in answer.err
+
+
+def test_the_up_direction_is_estimated_or_given(tmp_path):
+    room = make_room(count=3_000)
+    turn = Rotation.from_euler("x", 90, degrees=True)
+    quats = np.asarray(room.quats, np.float64)
+    turned = dataclasses.replace(
+        room,
+        means=turn.apply(room.means).astype(np.float32),
+        quats=(turn * Rotation.from_quat(quats, scalar_first=True)).as_quat(scalar_first=True),
+    )
+    save_ply(tmp_path / "scene.ply", turned)
+    argv = ["render", tmp_path / "scene.ply", "--views", 3, "--scale", 0.1]
+    for given_up, shown, up in (
+        ([], "-z", [0, 0, -1]),
+        (["--up", "x"], "x", [1, 0, 0]),
+        (["--up", "0,3,4"], "0.00,0.60,0.80", [0, 0.6, 0.8]),
+    ):
+        answer = run(*argv, *given_up, "--out", tmp_path / shown)
+        assert answer.code == 0
+        assert f"with {shown} as the up direction" in answer.err
+        for camera in load_cameras(tmp_path / shown / "cameras.json"):
+            assert -camera.viewmat[1, :3] @ np.array(up) > 0.5, "the image is on its side"
+    assert "expected one of x, y" in refused(*argv, "--up=up", "--out", tmp_path / "no")
+    cameras = tmp_path / "x" / "cameras.json"
+    both = refused(*argv, "--up", "x", "--cameras", cameras, "--out", tmp_path / "no")
+    assert "leave out one" in both
+
+
+def test_a_room_is_looked_at_from_inside(tmp_path):
+    save_ply(tmp_path / "scene.ply", make_room(count=3_000))
+    argv = ["--out", tmp_path / "views", "--views", 6, "--scale", 0.1]
+    answer = run("render", tmp_path / "scene.ply", *argv)
+    assert "6 cameras were placed in and around the room" in answer.err
 
 
 def test_the_cameras_of_the_training_are_never_replaced(case, tmp_path):

@@ -1,0 +1,90 @@
+"""Cameras inside a room, where those of an orbit would look at its walls from behind.
+
+Surfaces are found along rays, from the Gaussians that cover most: along a ray, each has the opacity
+of the point nearest to its centre in its own metric, and the surface is where half of the light is
+absorbed.
+"""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from gsc_jax.render.orbit import look_at, scene_extent
+from gsc_jax.scene import Camera, Gaussians
+from gsc_jax.scene.camera import intrinsics
+from gsc_jax.scene.gaussians import rotation_matrices
+
+MAX_GAUSSIANS = 20_000
+"""Gaussians of largest opacity times area in which surfaces are looked for."""
+HIDDEN_SHARE = 0.5
+"""Share of the cameras of an orbit to which the centre is hidden, above which it is a room: 0 to
+0.2 in scenes that are seen from outside, 0.6 to 0.8 in rooms."""
+LIFTS = np.linspace(0, 0.5, 6)
+"""Heights of the cameras over the centre that are tried, in radii of the scene."""
+REACH, FOV_DEGREES = 0.75, 80.0
+"""Part of the way to the wall behind a camera, and a horizontal field of view for rooms."""
+MIN_LOG_SCALE = -12.0
+
+
+def moved_indoors(
+    gaussians: Gaussians, cameras: Sequence[Camera], up: np.ndarray
+) -> list[Camera] | None:
+    """Move the cameras of an orbit that a wall hides the centre from into the room.
+
+    Each looks at that wall from inside, over the centre. The others stay: they look through an
+    opening, or from above. None if the centre is hidden from few cameras, as it is outdoors. All
+    Gaussians can be rendered; `up` is the unit up direction, shape (3,).
+    """
+    center, radius = scene_extent(gaussians)
+    surface = surface_finder(gaussians)
+    rays = [np.asarray(camera.center, np.float64) - center for camera in cameras]
+    hidden = [surface(center + ray, -ray) < np.linalg.norm(ray) - radius / 2 for ray in rays]
+    if np.mean(hidden) <= HIDDEN_SHARE:
+        return None
+    level = [ray - (ray @ up) * up for ray in rays]
+    away = [0.1 * up - ray / np.linalg.norm(ray) for ray in level]
+    heights = [center + lift * radius * up for lift in LIFTS]
+    free = np.array([[min(surface(eye, ray), radius) for ray in away] for eye in heights])
+    room = np.median(free, axis=1)
+    chosen = int(np.argmax(room >= 0.8 * room.max()))  # not above what has no ceiling
+    reach = np.maximum(REACH * free[chosen], 0.05 * radius)
+    eyes = [heights[chosen] + far * ray for ray, far in zip(away, reach, strict=True)]
+    return [
+        _moved(camera, eye, center, up) if behind else camera
+        for camera, eye, behind in zip(cameras, eyes, hidden, strict=True)
+    ]
+
+
+def _moved(camera: Camera, eye: np.ndarray, center: np.ndarray, up: np.ndarray) -> Camera:
+    focal = 0.5 * camera.width / np.tan(np.radians(FOV_DEGREES / 2))
+    K = intrinsics(focal, camera.width, camera.height)
+    return dataclasses.replace(camera, viewmat=look_at(eye, center, up), K=K)
+
+
+def surface_finder(gaussians: Gaussians) -> Callable[[np.ndarray, np.ndarray], float]:
+    """Function from the origin and the direction of a ray, (3,), to the distance of a surface.
+
+    Infinite where there is none. Rows that cannot be rendered must not be among the Gaussians.
+    """
+    log_scales = np.maximum(np.asarray(gaussians.log_scales, np.float64), MIN_LOG_SCALE)
+    opacities = np.asarray(gaussians.opacities, np.float64)
+    size = np.log(np.maximum(opacities, 1e-9)) + np.sort(log_scales, axis=1)[:, 1:].sum(axis=1)
+    rows = np.argsort(-size)[:MAX_GAUSSIANS]
+    means, opacities = np.asarray(gaussians.means, np.float64)[rows], opacities[rows]
+    # Distances in the metric of a Gaussian are those after a multiplication by this matrix.
+    whitening = (rotation_matrices(gaussians.take(rows)) / np.exp(log_scales[rows])[:, None]).mT
+    centers = (whitening @ means[:, :, None])[..., 0]
+
+    def surface(origin: np.ndarray, direction: np.ndarray) -> float:
+        step = whitening @ (direction / np.linalg.norm(direction))
+        offset = centers - whitening @ origin
+        distance = (offset * step).sum(axis=1) / (step * step).sum(axis=1)
+        off_axis = ((offset - distance[:, None] * step) ** 2).sum(axis=1)
+        alpha = np.minimum(opacities * np.exp(-0.5 * off_axis), 0.99)
+        ahead = np.flatnonzero((distance > 0) & (alpha > 1 / 255))
+        order = ahead[np.argsort(distance[ahead])]
+        half = np.flatnonzero(np.cumsum(np.log1p(-alpha[order])) < np.log(0.5))
+        return float(distance[order[half[0]]]) if len(half) else np.inf
+
+    return surface

@@ -157,9 +157,10 @@ class View:
       gsc-jax view found --html found.html --most 200000
 
     the page shows:
-      the scene in its own colours, a heat map of the scores, or only
-      the tampered Gaussians, and a list of cameras; if it is served,
-      also a slider for the threshold
+      the scene with the labelled Gaussians marked, or without marks, a
+      heat map of the scores, only one of both groups, and a list of
+      cameras; if it is served, also a slider for the threshold, the
+      values of a Gaussian at a click, and boxes (shift) and exports
 
     Attributes:
         folder: Folder with the results of `locate`.

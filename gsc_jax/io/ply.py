@@ -141,21 +141,24 @@ def save_ply(path: str | Path, gaussians: Gaussians, *, tamper: Array | None = N
     save_parts(path, host, lambda rows: host.take(rows), scores)
 
 
-def save_tampered(path: str | Path, scene: PlyScene, tamper: Array) -> None:
+def save_tampered(
+    path: str | Path, scene: PlyScene, tamper: Array, *, keep: np.ndarray | None = None
+) -> None:
     """Write the scene as it was read, plus a last float32 property `tamper`.
 
     Every row, property, element and comment is kept, in order and type; an existing property
     `tamper` is replaced. The output is binary little endian and may replace the file that was read.
-    Scores have shape (N,); excluded rows get 0.
+    Scores have shape (N,); excluded rows get 0. Of all rows, those of `keep`, (total,), are written.
     """
+    chosen = slice(None) if keep is None else np.flatnonzero(keep)
     scores, vertex = checked_scores(path, tamper, len(scene.rows)), copy.copy(scene.ply["vertex"])
-    scores, data = scene.expand(scores), vertex.data
+    scores, data = scene.expand(scores)[chosen], vertex.data[chosen]
 
     def vertices(rows: slice) -> "PlyElement":
         vertex.data = data[rows]
         return _with_tamper(vertex, scores[rows])
 
-    _write(path, scene.ply, vertices, scene.total)
+    _write(path, scene.ply, vertices, len(data))
 
 
 def save_parts(

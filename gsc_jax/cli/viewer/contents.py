@@ -1,12 +1,14 @@
 """What the viewer shows of a folder of results; the same for the served and the written page."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 
-from gsc_jax.cli.report.wording import headline, labels_sentence, percent, share
+from gsc_jax.cli.pictures import CANDIDATE, TINT
+from gsc_jax.cli.report.wording import are_candidates, headline, labels_sentence, percent, share
 from gsc_jax.cli.results import Results
-from gsc_jax.cli.viewer.splats import Splats, heat, largest, splats
+from gsc_jax.cli.viewer.splats import Layer, Splats, heat, largest, layer_colours, splats
 from gsc_jax.render.orbit import mean_up
 from gsc_jax.render.projection import NEAR
 from gsc_jax.scene import Array, Camera
@@ -80,6 +82,9 @@ class Contents:
         sentences: What the run found.
         score: Scores, shape (N,) float32.
         threshold: Score above which the run labelled a Gaussian as tampered.
+        tint: Colour of the labelled Gaussians, shape (3,).
+        rows: Rows of the splats in the scene file, shape (N,) int64.
+        folder: The folder of results.
         up: Unit up direction, shape (3,).
         near: Near plane in world units.
         far: Far plane: twice the diagonal of the box around all splats, cameras and their targets.
@@ -90,10 +95,17 @@ class Contents:
     splats: Splats
     score: np.ndarray
     threshold: float
+    tint: np.ndarray
+    rows: np.ndarray
+    folder: Path
     poses: list[Pose]
     up: np.ndarray
     near: float
     far: float
+
+    def colours(self, layer: Layer, threshold: float) -> tuple[np.ndarray, np.ndarray]:
+        """Colours (N, 3) and opacities (N, 1) of a layer."""
+        return layer_colours(self.splats, self.score, layer, threshold, tint=self.tint)
 
 
 def viewer_contents(results: Results, *, most: int) -> tuple[Contents, list[str]]:
@@ -113,6 +125,9 @@ def viewer_contents(results: Results, *, most: int) -> tuple[Contents, list[str]
         splats=chosen,
         score=results.tamper[rows],
         threshold=results.threshold,
+        tint=CANDIDATE if are_candidates(results.report.get("verdict")) else TINT,
+        rows=results.rows[rows],
+        folder=results.folder,
         poses=poses,
         up=up,
         near=near,

@@ -6,29 +6,27 @@ they change: with one node per layer the browser would store and sort all of the
 
 import dataclasses
 import threading
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from gsc_jax.cli.viewer.contents import Contents, Pose, count_sentence, legend
+from gsc_jax.cli.viewer.selection import LayerInputs, add_selection
 from gsc_jax.cli.viewer.splats import (
     LAYERS,
     Layer,
     Splats,
     fit_half_precision,
     half_precision_unit,
-    layer_colours,
 )
 
 if TYPE_CHECKING:
     import viser
 
 THRESHOLD_STEP = 0.001
-
-
-class LayerInputs(NamedTuple):
-    """The inputs that select a layer."""
-
-    layer: "viser.GuiDropdownHandle[Layer]"
-    threshold: "viser.GuiInputHandle[float]"
+AT_THRESHOLD: tuple[Layer, ...] = ("result", "tampered only", "authentic only")
+"""Layers that depend on the threshold."""
+SELECTED = np.array([1.0, 0.95, 0.2], np.float32)
 
 
 def add_viewer(server: "viser.ViserServer", contents: Contents) -> None:
@@ -36,19 +34,21 @@ def add_viewer(server: "viser.ViserServer", contents: Contents) -> None:
     gui = server.gui
     gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
     gui.add_markdown("\n\n".join(contents.sentences))
-    add_layer_controls(server, contents)
+    add_selection(server, contents, add_layer_controls(server, contents))
     _add_camera_controls(server, contents)
 
 
 def add_layer_controls(server: "viser.ViserServer", contents: Contents) -> LayerInputs:
     """Add the splats, and inputs that select their layer and threshold."""
-    gui, splats = server.gui, contents.splats
-    node = add_splats(server, "/gaussians", splats)
+    gui = server.gui
+    rgbs, _ = contents.colours(LAYERS[0], contents.threshold)
+    node = add_splats(server, "/gaussians", dataclasses.replace(contents.splats, rgbs=rgbs))
     layer = gui.add_dropdown("show", LAYERS, initial_value=LAYERS[0])
     threshold = gui.add_slider("threshold", 0.0, 1.0, THRESHOLD_STEP, contents.threshold)
     count = gui.add_markdown("")
     gui.add_html(legend())
-    lock, sent = threading.Lock(), (LAYERS[0], 0.0)
+    lock, selected = threading.Lock(), np.zeros(len(contents.score), bool)
+    sent: object = (LAYERS[0], contents.threshold, 0)
 
     def update(_: object = None) -> None:
         nonlocal sent
@@ -57,17 +57,19 @@ def add_layer_controls(server: "viser.ViserServer", contents: Contents) -> Layer
         with lock:
             chosen: Layer = layer.value
             count.content = count_sentence(contents.score, threshold.value)
-            wanted = (chosen, threshold.value if chosen.endswith("only") else 0.0)
+            at = threshold.value if chosen in AT_THRESHOLD else 0.0
+            wanted = chosen, at, int(selected.sum())  # a selection grows, or is cleared
             if wanted == sent:
                 return
             sent = wanted
-            rgbs, opacities = layer_colours(splats, contents.score, chosen, threshold.value)
+            rgbs, opacities = contents.colours(chosen, at)
+            rgbs = np.where(selected[:, None], SELECTED, rgbs)
             node.set_gaussians(node.centers, node.covariances, rgbs, opacities)
 
     layer.on_update(update)
     threshold.on_update(update)
     update()
-    return LayerInputs(layer, threshold)
+    return LayerInputs(layer, threshold, selected, update)
 
 
 def _add_camera_controls(server: "viser.ViserServer", contents: Contents) -> None:
@@ -129,9 +131,12 @@ def add_splats(
 
 def add_layers(server: "viser.ViserServer", contents: Contents) -> None:
     """Add nodes for tampered splats, authentic splats and the heat map, which starts hidden."""
-    splats, tampered = contents.splats, contents.score > contents.threshold
+    tampered, splats = contents.score > contents.threshold, contents.splats
+    result, heat_map = (
+        dataclasses.replace(splats, rgbs=contents.colours(layer, contents.threshold)[0])
+        for layer in ("result", "heat map")
+    )
     for name, rows in (("tampered", tampered), ("authentic", ~tampered)):
         if rows.any():
-            add_splats(server, f"/{name}", splats.take(rows))
-    rgbs, _ = layer_colours(splats, contents.score, "heat map", contents.threshold)
-    add_splats(server, "/heat map", dataclasses.replace(splats, rgbs=rgbs)).visible = False
+            add_splats(server, f"/{name}", result.take(rows))
+    add_splats(server, "/heat map", heat_map).visible = False

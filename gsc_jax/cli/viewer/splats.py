@@ -5,12 +5,13 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from gsc_jax.cli.pictures import TINT_STRENGTH
 from gsc_jax.io.ply import LUMA
 from gsc_jax.render.spherical_harmonics import Y0
 from gsc_jax.scene import Array, Gaussians
 from gsc_jax.scene.gaussians import rotation_matrices
 
-Layer = Literal["heat map", "original", "tampered only", "authentic only"]
+Layer = Literal["result", "heat map", "original", "tampered only", "authentic only"]
 LAYERS: tuple[Layer, ...] = get_args(Layer)
 COLORMAP = "viridis"
 """Perceptually uniform, also for colour-blind readers."""
@@ -77,18 +78,23 @@ def heat(score: Array) -> np.ndarray:
 
 
 def layer_colours(
-    splats: Splats, score: Array, layer: Layer, threshold: float
+    splats: Splats, score: Array, layer: Layer, threshold: float, *, tint: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Colours (N, 3) and opacities (N, 1) of a layer; hidden splats have opacity 0.
 
-    `score` has shape (N,); a Gaussian is tampered if its score exceeds the threshold.
+    `score` has shape (N,); a Gaussian is tampered if its score exceeds the threshold, and has a
+    `tint`, (3,), in the layer "result".
     """
+    tampered = np.asarray(score) > threshold
+    if layer == "result":
+        tinted = (1 - TINT_STRENGTH) * splats.rgbs + np.float32(TINT_STRENGTH) * tint
+        return np.where(tampered[:, None], tinted, splats.rgbs), splats.opacities
     if layer == "original":
         return splats.rgbs, splats.opacities
     if layer == "heat map":
         grey = (splats.rgbs @ LUMA)[:, None].astype(np.float32)
         return (1 - GREY_SHARE) * heat(score) + GREY_SHARE * grey, splats.opacities
-    visible = (np.asarray(score) > threshold) == (layer == "tampered only")
+    visible = tampered == (layer == "tampered only")
     return splats.rgbs, splats.opacities * visible[:, None]
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from browser import Browser
 from results_folder import write_results
-from selenium.webdriver import Keys
+from selenium.webdriver import ActionChains, Keys
 from selenium.webdriver.common.by import By
 from selenium.webdriver.remote.webelement import WebElement
 from selenium.webdriver.support.expected_conditions import frame_to_be_available_and_switch_to_it
@@ -116,6 +116,11 @@ def blue(picture: np.ndarray) -> float:
     return float(np.mean((picture[..., 2] > 0.5) & (picture[..., :2] < 0.3).all(axis=-1)))
 
 
+def yellow(picture: np.ndarray) -> float:
+    """Share of the pixels that show selected Gaussians."""
+    return float(np.mean((picture[..., :2] > 0.5).all(axis=-1) & (picture[..., 2] < 0.4)))
+
+
 def floor_is_shown(picture: np.ndarray) -> bool:
     return blue(picture) > 0.05
 
@@ -218,3 +223,19 @@ class TestServedPage:
             page.browser.find_element(By.XPATH, place).click()
             self.wait_for_camera(page, poses[index].name)
             page.shows_camera(index)
+
+    def test_a_click_describes_and_a_box_selects(self, page):
+        self.select_layer(page, "original")
+        page.becomes(floor_is_shown)
+        canvas = page.browser.find_element(By.CSS_SELECTOR, "canvas[data-engine]")
+        actions = ActionChains(page.browser)
+        actions.move_to_element(canvas).click().perform()
+        page.until(lambda browser: "position" in browser.find_element(By.TAG_NAME, "body").text)
+        actions = ActionChains(page.browser)
+        actions.key_down(Keys.SHIFT).move_to_element_with_offset(canvas, -60, -60).click_and_hold()
+        actions.move_by_offset(60, 60).move_by_offset(60, 60).release().key_up(Keys.SHIFT).perform()
+        page.until(lambda browser: "are selected" in browser.find_element(By.TAG_NAME, "body").text)
+        page.becomes(lambda picture: yellow(picture) > 0.01)
+        clear = page.browser.find_element(By.XPATH, "//button[.='clear selection']")
+        page.browser.execute_script("arguments[0].click()", clear)  # it may be scrolled away
+        page.becomes(lambda picture: yellow(picture) < 0.001)

@@ -8,11 +8,10 @@ import pytest
 from results_folder import write_results
 
 from gsc_jax.cli.results import read_results
-from gsc_jax.cli.viewer import controls
+from gsc_jax.cli.viewer import contents, controls
 from gsc_jax.cli.viewer.access import Access
-from gsc_jax.cli.viewer.contents import viewer_contents
+from gsc_jax.cli.viewer.contents import layer_colours, viewer_contents
 from gsc_jax.cli.viewer.server import serving
-from gsc_jax.cli.viewer.splats import layer_colours
 
 pytest.importorskip("viser")
 
@@ -23,9 +22,9 @@ TIMEOUT_SECONDS = 20.0
 def inputs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[controls.LayerInputs]:
     folder = tmp_path_factory.mktemp("controls") / "found"
     write_results(folder)
-    contents, _ = viewer_contents(read_results(folder), most=10**6)
+    shown, _ = viewer_contents(read_results(folder), most=10**6)
     with serving(Access(host="localhost", token="token"), port=0) as server:
-        yield controls.add_layer_controls(server, contents)
+        yield controls.add_layer_controls(server, shown)
 
 
 def test_threshold_is_sent_once_and_only_if_it_matters(
@@ -33,18 +32,21 @@ def test_threshold_is_sent_once_and_only_if_it_matters(
 ):
     computed: list[tuple[str, float]] = []
 
-    def recorded(*arguments):
+    def recorded(*arguments, **options):
         computed.append(arguments[2:])
-        return layer_colours(*arguments)
+        return layer_colours(*arguments, **options)
 
-    monkeypatch.setattr(controls, "layer_colours", recorded)
+    monkeypatch.setattr(contents, "layer_colours", recorded)
+    inputs.layer.value = "original"
     inputs.threshold.value = 0.25
-    assert computed == []
+    assert computed == [("original", 0.0)]
     inputs.layer.value = "tampered only"
     inputs.threshold.value = 0.75
     inputs.layer.value = "heat map"
     inputs.threshold.value = 0.5
-    assert computed == [("tampered only", 0.25), ("tampered only", 0.75), ("heat map", 0.75)]
+    inputs.layer.value = "result"
+    after = [("tampered only", 0.25), ("tampered only", 0.75), ("heat map", 0.0), ("result", 0.5)]
+    assert computed == [("original", 0.0), *after]
 
 
 def test_last_of_several_quick_changes_is_sent_once(
@@ -53,11 +55,11 @@ def test_last_of_several_quick_changes_is_sent_once(
     computed: list[float] = []
     entered, released = threading.Event(), threading.Event()
 
-    def slow(*arguments):
+    def slow(*arguments, **options):
         computed.append(arguments[3])
         entered.set()
         assert released.wait(TIMEOUT_SECONDS)
-        return layer_colours(*arguments)
+        return layer_colours(*arguments, **options)
 
     def change(value: float) -> threading.Thread:
         thread = threading.Thread(target=setattr, args=(inputs.threshold, "value", value))
@@ -69,7 +71,7 @@ def test_last_of_several_quick_changes_is_sent_once(
         return thread
 
     inputs.layer.value = "authentic only"
-    monkeypatch.setattr(controls, "layer_colours", slow)
+    monkeypatch.setattr(contents, "layer_colours", slow)
     threads = [change(0.125)]
     assert entered.wait(TIMEOUT_SECONDS)
     threads += [change(value) for value in (0.25, 0.375, 0.625, 0.875)]

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from strategies import blobs, camera, motions, random_scene, scenes
 
+from gsc_jax.cli.pictures import TINT
 from gsc_jax.cli.viewer.contents import pose
 from gsc_jax.cli.viewer.splats import (
     fit_half_precision,
@@ -72,13 +73,21 @@ class TestLayerColours:
 
     @given(st.sampled_from([0.0, 0.3, 0.5, 0.9, 1.0]))
     def test_tampered_and_authentic_partition_the_scene(self, threshold):
-        _, tampered = layer_colours(self.SPLATS, self.SCORE, "tampered only", threshold)
-        _, authentic = layer_colours(self.SPLATS, self.SCORE, "authentic only", threshold)
+        _, tampered = layer_colours(self.SPLATS, self.SCORE, "tampered only", threshold, tint=TINT)
+        _, authentic = layer_colours(
+            self.SPLATS, self.SCORE, "authentic only", threshold, tint=TINT
+        )
         np.testing.assert_array_equal(tampered + authentic, self.SPLATS.opacities)
         np.testing.assert_array_equal(tampered[:, 0] > 0, np.float32(threshold) < self.SCORE)
 
     def test_heat_map_is_lighter_for_higher_scores(self):
-        rgbs, opacities = layer_colours(self.SPLATS, self.SCORE, "heat map", 0.5)
+        assert layer_colours(self.SPLATS, self.SCORE, "original", 0.5, tint=TINT)[0] is (
+            self.SPLATS.rgbs
+        )
+        rgbs, _ = layer_colours(self.SPLATS, self.SCORE, "result", 0.5, tint=TINT)
+        marked = np.any(rgbs != self.SPLATS.rgbs, axis=1)
+        np.testing.assert_array_equal(marked, self.SCORE > 0.5)
+        rgbs, opacities = layer_colours(self.SPLATS, self.SCORE, "heat map", 0.5, tint=TINT)
         assert (np.diff(rgbs @ [0.299, 0.587, 0.114]) > 0.03).all()
         np.testing.assert_array_equal(opacities, self.SPLATS.opacities)
 

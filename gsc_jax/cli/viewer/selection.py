@@ -1,0 +1,148 @@
+"""Selection in the served viewer: a click describes a Gaussian, boxes collect some for a file."""
+
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from gsc_jax.cli.results import read_by_row, result_file
+from gsc_jax.cli.viewer.contents import Contents
+from gsc_jax.cli.viewer.splats import Layer, Splats
+from gsc_jax.io.ply import read_ply, save_tampered
+
+if TYPE_CHECKING:
+    import viser
+
+HINT = "Click a Gaussian to see its values. Press Shift and drag a box to select what is in it."
+PARTS = ("all but labelled", "only labelled", "all but selected", "only selected")
+
+
+class LayerInputs(NamedTuple):
+    """The inputs that select a layer, marked Gaussians (N,) bool, and a function to draw both."""
+
+    layer: "viser.GuiDropdownHandle[Layer]"
+    threshold: "viser.GuiInputHandle[float]"
+    selected: np.ndarray
+    update: Callable[[], None]
+
+
+def add_selection(server: "viser.ViserServer", contents: Contents, inputs: LayerInputs) -> None:
+    """Add clicks, boxes, and exports of parts of the scene to a server."""
+    gui, selected = server.gui, inputs.selected
+    with gui.add_folder("selection"):
+        text = gui.add_markdown(HINT)
+        clear = gui.add_button("clear selection")
+        part = gui.add_dropdown("part", PARTS)
+        export = gui.add_button("export .ply")
+
+    def visible() -> np.ndarray:
+        return contents.colours(inputs.layer.value, inputs.threshold.value)[1][:, 0]
+
+    def select(rows: np.ndarray) -> None:
+        selected[:] = rows
+        text.content = f"{int(selected.sum()):,} Gaussians are selected. {HINT}"
+        inputs.update()
+
+    @server.scene.on_click()
+    def _(event: "viser.SceneClickEvent") -> None:
+        ray = np.array([event.ray_origin, event.ray_direction])
+        index = hit(contents.splats, visible(), *ray)
+        text.content = HINT if index is None else describe(contents, index)
+
+    @server.scene.on_rect_select(modifier="shift")
+    def _(event: "viser.SceneRectSelectEvent") -> None:
+        corners = np.array([event.screen_min, event.screen_max])
+        places = on_screen(contents.splats.centers, event.client.camera)
+        inside = ((places >= corners[0]) & (places <= corners[1])).all(axis=1)
+        select(selected | (inside & (visible() > 0)))
+
+    @clear.on_click
+    def _(_: object) -> None:
+        select(np.zeros(len(selected), bool))
+
+    @export.on_click
+    def _(event: "viser.GuiEvent") -> None:
+        if event.client is not None:
+            rows = contents.rows[selected] if part.value.endswith("selected") else None
+            keep, threshold = part.value.startswith("only"), inputs.threshold.value
+            content = exported(contents.folder, rows, threshold=threshold, keep=keep)
+            if content is None:
+                text.content = f"There are no Gaussians to export. {HINT}"
+                return
+            name = f"{contents.title} {part.value}.ply".replace(" ", "_")
+            event.client.send_file_download(name, content)
+
+
+def hit(
+    splats: Splats, opacities: np.ndarray, origin: np.ndarray, direction: np.ndarray
+) -> int | None:
+    """The splat of largest blending weight along a ray; None if it hits none.
+
+    `opacities`, (N,), are those that are drawn.
+    """
+    direction = direction / np.linalg.norm(direction)
+    offset = splats.centers - origin
+    depth = offset @ direction
+    across = offset - depth[:, None] * direction
+    distance = np.linalg.norm(across, axis=1)
+    side = across / np.maximum(distance, 1e-12)[:, None]
+    variance = np.einsum("ni,nij,nj->n", side, splats.covariances, side)
+    alpha = opacities * np.exp(-0.5 * distance**2 / np.maximum(variance, 1e-20))
+    order = np.argsort(depth)
+    order = order[(depth[order] > 0) & (alpha[order] > 1 / 255)]
+    if not len(order):
+        return None
+    transmitted = np.cumprod(np.append(1, 1 - alpha[order][:-1]))
+    return int(order[np.argmax(alpha[order] * transmitted)])
+
+
+def on_screen(points: np.ndarray, camera: "viser.CameraHandle") -> np.ndarray:
+    """Places on the screen, (0, 0) to (1, 1), of points (N, 3); NaN behind the camera."""
+    from scipy.spatial.transform import Rotation
+
+    rotation = Rotation.from_quat(camera.wxyz, scalar_first=True)
+    x, y, z = ((points - camera.position) @ rotation.as_matrix()).T
+    z = np.where(z > 0, z, np.nan)
+    half = np.tan(camera.fov / 2)
+    return 0.5 + np.stack([x / (half * camera.aspect), y / half], axis=1) / (2 * z[:, None])
+
+
+def describe(contents: Contents, index: int) -> str:
+    """Values of a Gaussian as a table in Markdown."""
+    splats = contents.splats
+    deviations = np.sqrt(np.maximum(np.linalg.eigvalsh(splats.covariances[index]), 0))[::-1]
+    facts = {
+        "row": f"{contents.rows[index]:,}",
+        "score": f"{contents.score[index]:.3f}",
+        "position": _numbers(splats.centers[index]),
+        "scales": _numbers(deviations),
+        "opacity": f"{splats.opacities[index, 0]:.3f}",
+        "colour": _numbers(splats.rgbs[index]),
+    }
+    lines = [f"| {name} | {value} |" for name, value in facts.items()]
+    return "\n".join(["| Gaussian | |", "|---|---|", *lines])
+
+
+def _numbers(values: np.ndarray) -> str:
+    return ", ".join(f"{value:.3g}" for value in values)
+
+
+def exported(
+    folder: Path, rows: np.ndarray | None, *, threshold: float, keep: bool
+) -> bytes | None:
+    """The .ply of a folder of results with some of its rows; None if there are none.
+
+    These are the given ones, or by default those with a score above the threshold; all others if
+    `keep` is false.
+    """
+    scene = read_ply(result_file(folder, "tamper.ply"))
+    scores = read_by_row(result_file(folder, "tamper.npy"), scene.total)
+    chosen = scores > threshold if rows is None else np.isin(np.arange(scene.total), rows)
+    if not (chosen == keep).any():
+        return None
+    with tempfile.TemporaryDirectory() as place:
+        path = Path(place) / "part.ply"
+        save_tampered(path, scene, scores[scene.rows], keep=chosen == keep)
+        return path.read_bytes()

@@ -1,0 +1,101 @@
+"""Clicks, boxes and exports of the served viewer."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from results_folder import write_results
+
+from gsc_jax.cli.results import read_results
+from gsc_jax.cli.viewer.contents import viewer_contents
+from gsc_jax.cli.viewer.selection import describe, exported, hit, on_screen
+from gsc_jax.cli.viewer.splats import Splats
+from gsc_jax.io.ply import read_ply
+from gsc_jax.render.projection import project_centers
+
+
+@pytest.fixture(scope="module")
+def contents(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("selection") / "found"
+    write_results(folder)
+    return viewer_contents(read_results(folder), most=10**6)[0]
+
+
+def discs(depths: list[float], opacities: list[float]) -> Splats:
+    """Unit spheres on the z axis."""
+    count = len(depths)
+    return Splats(
+        centers=np.array([[0, 0, z] for z in depths], np.float32),
+        covariances=np.tile(np.eye(3, dtype=np.float32), (count, 1, 1)),
+        rgbs=np.zeros((count, 3), np.float32),
+        opacities=np.array(opacities, np.float32)[:, None],
+    )
+
+
+@pytest.mark.parametrize(
+    ("opacities", "expected"),
+    [([0.9, 0.9, 0.9], 1), ([0.9, 0.2, 0.9], 0), ([0.9, 0, 0.9], 0), ([0, 0, 0.9], None)],
+)
+def test_a_click_hits_the_splat_that_is_seen(opacities, expected):
+    splats = discs([8, 5, -5], opacities)
+    drawn = splats.opacities[:, 0]
+    assert hit(splats, drawn, np.zeros(3), np.array([0, 0, 3.0])) == expected
+    assert hit(splats, drawn, np.zeros(3), np.array([1.0, 0, 0.001])) is None, "nothing is there"
+
+
+def test_a_click_shows_the_values_in_the_file(contents):
+    for index in (0, 7, 100):
+        row = contents.rows[index]
+        scene = read_ply(contents.folder / "tamper.ply")
+        text = describe(contents, index)
+        assert f"| row | {row:,} |" in text
+        assert f"| score | {scene.ply['vertex']['tamper'][row]:.3f} |" in text
+        place = ", ".join(f"{scene.ply['vertex'][axis][row]:.3g}" for axis in "xyz")
+        assert f"| position | {place} |" in text
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 2), st.integers(0, 2**32 - 1))
+def test_places_on_the_screen_are_those_of_the_renderer(contents, view, seed):
+    pose = contents.poses[view]
+    camera = SimpleNamespace(wxyz=pose.wxyz, position=pose.position, fov=pose.fov, aspect=1.5)
+    points = pose.look_at + np.random.default_rng(seed).normal(size=(20, 3)) * 0.2
+    height, width = 400, 600
+    focal = height / 2 / np.tan(pose.fov / 2)
+    K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]], np.float32)
+    viewmat = np.eye(4, dtype=np.float32)
+    viewmat[:3, :3] = rotation = _matrix(pose.wxyz).T
+    viewmat[:3, 3] = -rotation @ pose.position
+    pixels, depths = project_centers(points.astype(np.float32), viewmat, K)
+    ahead = np.asarray(depths) > 0.1
+    places = on_screen(points, camera)  # pyright: ignore[reportArgumentType]
+    expected = np.asarray(pixels) / [width, height]
+    np.testing.assert_allclose(places[ahead], expected[ahead], atol=1e-3)
+    assert np.isnan(on_screen(pose.position - 2 * (points - pose.position), camera)).any()  # pyright: ignore[reportArgumentType]
+
+
+def _matrix(wxyz):
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_quat(wxyz, scalar_first=True).as_matrix()
+
+
+def test_exports_are_rows_of_the_file_with_all_properties(contents, tmp_path):
+    whole = read_ply(contents.folder / "tamper.ply").ply["vertex"].data
+    labelled = np.load(contents.folder / "labels.npy")
+    for rows, keep, expected in (
+        (None, True, labelled),
+        (None, False, ~labelled),
+        (np.array([3, 9]), True, np.isin(np.arange(len(whole)), [3, 9])),
+        (np.array([3, 9]), False, ~np.isin(np.arange(len(whole)), [3, 9])),
+    ):
+        path = tmp_path / "part.ply"
+        content = exported(contents.folder, rows, threshold=contents.threshold, keep=keep)
+        assert content is not None
+        path.write_bytes(content)
+        part = read_ply(path).ply["vertex"].data
+        assert part.dtype == whole.dtype
+        assert part.tobytes() == whole[expected].tobytes()
+    assert exported(contents.folder, np.arange(0), threshold=0.5, keep=True) is None

@@ -148,7 +148,7 @@ def save_tampered(
 
     Every row, property, element and comment is kept, in order and type; an existing property
     `tamper` is replaced. The output is binary little endian and may replace the file that was read.
-    Scores have shape (N,); excluded rows get 0. Of all rows, those of `keep`, (total,), are written.
+    Scores have shape (N,); excluded rows get 0. `keep`, (total,) bool, selects rows to write.
     """
     chosen = slice(None) if keep is None else np.flatnonzero(keep)
     scores, vertex = checked_scores(path, tamper, len(scene.rows)), copy.copy(scene.ply["vertex"])

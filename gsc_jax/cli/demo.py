@@ -63,11 +63,10 @@ class Case(NamedTuple):
 
 
 def run_demo(
-    options: Demo, *, made: MadeScene | None = None, monitor: Monitor | None = None
+    options: Demo, *, monitor: Monitor, made: MadeScene | None = None
 ) -> tuple[list[str], list[str]]:
     """Generate the scene, by default `tampered_room`, run all methods; lines and warnings."""
     _refuse_foreign(options.out)
-    monitor = monitor or Monitor()
     made = made or tampered_room(seed=options.seed)
     decoy = decoy_labels(made.gaussians, made.labels, seed=options.seed)
     case = _simulated(made, decoy, options.seed, monitor)

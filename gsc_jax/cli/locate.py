@@ -100,9 +100,8 @@ def read_inputs(options: Locate, *, monitor: Monitor) -> Inputs:
     )
 
 
-def run_locate(options: Locate, *, monitor: Monitor | None = None) -> Located:
+def run_locate(options: Locate, *, monitor: Monitor) -> Located:
     """Find the tampered Gaussians of a scene file and write the results."""
-    monitor = monitor or Monitor()
     with monitor.stage("load"):
         inputs = read_inputs(options, monitor=monitor)
     return locate_and_write(inputs, prior=inputs.attributes, monitor=monitor)
@@ -127,18 +126,18 @@ def locate_and_write(inputs: Inputs, *, prior: Prior | bool, monitor: Monitor) -
         with monitor.stage("write"):
             renders = ByView(tuple(result.masks), lambda name: store.get(RENDER, name))
             write_results(folder, scene, cameras, result, renders, monitor=monitor)
+        warnings = [*inputs.warnings, *result.warnings]
+        times = {"stages": monitor.summary(), "seconds": monitor.elapsed()}
         located = Located(
             scene=scene,
             cameras=cameras,
-            result=result,
-            stages=monitor.summary(),
-            seconds=monitor.elapsed(),
-            warnings=[*inputs.warnings, *result.warnings],
+            result=dataclasses.replace(result, **times, warnings=warnings),
             visible_share=float(np.mean([mask.mean() for mask in result.masks.values()])),
             inputs=inputs.files,
         )
         write_report(folder, dataclasses.asdict(options), located, monitor=monitor)
-    return dataclasses.replace(located, seconds=monitor.elapsed())
+    result = dataclasses.replace(located.result, seconds=monitor.elapsed())
+    return dataclasses.replace(located, result=result)
 
 
 def _identity(inputs: Inputs) -> str:

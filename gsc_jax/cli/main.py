@@ -173,7 +173,7 @@ def _answer(command: Command, monitor: Monitor) -> Answer:
             return run_view(command, monitor=monitor, say=_say)
         case Locate() if not isinstance(command, Scan) and not command.dry_run:
             located = run_locate(command, monitor=monitor)
-            return summary(located, command.out), located.warnings
+            return summary(located, command.out), located.result.warnings
     runs = {Demo: run_demo, Render: run_render, Tamper: run_tamper, Scan: run_scan, Locate: dry_run}
     return runs[type(command)](command, monitor=monitor)
 

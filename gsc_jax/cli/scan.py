@@ -79,14 +79,14 @@ def run_scan(options: Scan, *, monitor: Monitor) -> tuple[list[str], list[str]]:
     refuse_overlap(out, [options.scene], written=written)
     refuse_blocked(out, [PAGE, "scenes/any", "reports/any", f"{UNFINISHED}/any"])
     refuse_foreign_file(out / PAGE, MARK)
-    settings = _settings(options, workers=options.workers or 1)
+    settings = _settings(options)
     if options.dry_run:
         text = f"Dry run: {len(entries):,} scenes, configuration {settings.digest()[:16]}."
         return [text], []
     with locked(out / UNFINISHED), _connected(ray, options):
         cores = int(ray.cluster_resources().get("CPU", 1))
         workers = min(options.workers or max(cores // options.cpus, 1), len(entries))
-        settings = _settings(options, workers=workers)
+        settings = dataclasses.replace(settings, workers=workers)
         done = _scanned(ray, entries, settings, monitor)
         merge_rows(out, settings.digest(), {row["id"]: row["key"] for row in done})
         rows = list(read_rows(out, settings.digest()))
@@ -98,7 +98,7 @@ def run_scan(options: Scan, *, monitor: Monitor) -> tuple[list[str], list[str]]:
     return _summary([row for row in rows if row["id"] in ids], done, options, monitor), []
 
 
-def _settings(options: Scan, *, workers: int) -> Any:
+def _settings(options: Scan) -> Any:
     from gsc_jax.collection.settings import ScanSettings
 
     command = {field.name: getattr(options, field.name) for field in dataclasses.fields(Locate)}
@@ -107,7 +107,7 @@ def _settings(options: Scan, *, workers: int) -> Any:
     return ScanSettings(
         command={k: v for k, v in command.items() if k not in ("scene", "out", "memory")},
         out=options.out.absolute(),
-        workers=workers,
+        workers=options.workers or 1,
         cache=None if options.no_cache else cache_folder(),
         **{name: getattr(options, name) for name in PER_SCENE},
     )

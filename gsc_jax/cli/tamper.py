@@ -25,7 +25,6 @@ from gsc_jax.io.files import memory_limit
 from gsc_jax.io.masks import image_path, write_mask, write_probability
 from gsc_jax.io.ply import load_ply, save_ply
 from gsc_jax.render.projection import NEAR
-from gsc_jax.render.visibility import check_views
 from gsc_jax.scene import Camera, Gaussians, InputError
 from gsc_jax.splat import render
 
@@ -43,14 +42,12 @@ def run_tamper(options: Tamper, *, monitor: Monitor) -> tuple[list[str], list[st
     check_numbers(options)
     _check(options)
     scene, cameras = read_scene(options, warnings, monitor)
-    cameras = choose_cameras(options, cameras, warnings)
+    cameras = choose_cameras(options, scene, cameras, warnings)
     names = _planned(options, cameras)
     refuse_foreign(options.out, names, report=REPORT)
     donor = _donor(options)
     with replacing(options.out, report=REPORT) as folder:
         monitor.progress("edit", 0, 1)
-        with naming(options.cameras or options.scene):
-            warnings += check_views(scene.gaussians, cameras, near=options.near)
         with naming(options.scene):
             edited = tamper(
                 scene.gaussians,

@@ -120,13 +120,9 @@ def _connected(ray: Any, options: Scan) -> Iterator[None]:
         yield
         return
     cores = (options.workers or 0) * options.cpus or len(os.sched_getaffinity(0))
-    ray.init(
-        address=options.address or "local",
-        num_cpus=None if options.address else cores,
-        include_dashboard=None if options.address else False,
-        log_to_driver=False,
-        logging_level=logging.ERROR,
-    )
+    started = {"address": "local", "num_cpus": cores, "include_dashboard": False}
+    cluster = {"address": options.address} if options.address else started
+    ray.init(**cluster, log_to_driver=False, logging_level=logging.ERROR)
     try:
         yield
     finally:

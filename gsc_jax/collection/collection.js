@@ -16,7 +16,7 @@ function texts(entry) {
   const labelled = entry[SHARE] === null ? "" : fixed(100 * entry[SHARE], 2) + " %";
   const error = entry[KIND] ? entry[KIND] + ": " + entry[ERROR] : entry[COPY] ? "copy of " + entry[COPY] : "";
   const numbers = [whole(entry[GAUSSIANS]), whole(entry[BYTES]), fixed(entry[SECONDS], 1)];
-  return [entry[ID], fixed(entry[PROBABILITY], 3), labelled, ...numbers, entry[TRACES], error];
+  return [entry[ID], fixed(entry[PROBABILITY], 3), labelled, ...numbers, entry[TRACES] ?? "", error];
 }
 
 function link(entry) {

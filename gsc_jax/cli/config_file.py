@@ -3,8 +3,7 @@
 The file has two tables: `command`, the options of `locate` with underscores for dashes, and
 `config`, the fields of the estimator, some of which have no option. The result.json of a run is
 such a file, so that a run can be repeated. Command-line options override the file, which overrides
-the defaults. If the command line names another method than the file, the settings of the file that
-depend on the method are dropped.
+the defaults.
 """
 
 import dataclasses

@@ -1,9 +1,7 @@
 """`gsc-jax demo`: locate a pasted object in a generated scene, and compare with the truth.
 
 All input and output goes through files and through the code of `gsc-jax locate`. The simulated
-detector has all failures at once (`mixture`): single masks are then of little use. The masks are
-scored on held-out views. The scene before the edit is located as well, to compare the scene
-probabilities.
+detector has all failures at once (`mixture`): single masks are then of little use.
 """
 
 import dataclasses
@@ -201,10 +199,9 @@ def _probability_table(results: Mapping[str, Result], authentic: Mapping[str, Re
 
 
 def _write_picture(path: Path, case: Case, found: Mapping[str, Views]) -> None:
-    cameras, rows = evenly_spaced(case.made.heldout_cameras, PICTURE_ROWS), []
-    for camera in cameras:
+    rows = {}
+    for camera in evenly_spaced(case.made.heldout_cameras, PICTURE_ROWS):
         image = np.asarray(render(case.made.gaussians, camera)[0])
         masks = [case.truth, *found.values()]
-        rows.append([image, *(overlay(image, views[camera.name]) for views in masks)])
-    titles = ("render", "truth", *found)
-    contact_sheet(path, rows, titles=titles, labels=[camera.name for camera in cameras])
+        rows[camera.name] = [image, *(overlay(image, views[camera.name]) for views in masks)]
+    contact_sheet(path, rows, titles=("render", "truth", *found))

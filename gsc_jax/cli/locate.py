@@ -1,7 +1,4 @@
-"""`gsc-jax locate`: from files to a folder of results; all input is checked first.
-
-With --dry-run, nothing is computed, and the resolved configuration is printed.
-"""
+"""`gsc-jax locate`: from files to a folder of results; all input is checked first."""
 
 import dataclasses
 import hashlib
@@ -151,7 +148,7 @@ def _identity(inputs: Inputs) -> str:
 
 
 def dry_run(options: Locate, *, monitor: Monitor) -> tuple[list[str], list[str]]:
-    """Describe a run of `locate`, which is not started: lines to print, and warnings."""
+    """Describe a run of `locate`, of which nothing is computed: lines to print, and warnings."""
     existing = next(p for p in (options.out, *options.out.absolute().parents) if p.exists())
     with writing_to(options.out):
         tempfile.TemporaryFile(dir=existing).close()

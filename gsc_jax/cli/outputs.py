@@ -1,7 +1,6 @@
-"""Files that `locate` writes into its folder.
+"""Files that `locate` writes into its folder, with pictures at full size: small ones save little.
 
-Masks are PNG. Pictures for people are JPEG, of every view and at full size: most of the time of a
-small render would also go into sorting the Gaussians.
+Most of the time of a small render would also go into sorting the Gaussians.
 """
 
 import dataclasses
@@ -158,14 +157,14 @@ def _write_overview(
     shown = evenly_spaced(judged, OVERVIEW_ROWS)
     if any(shares.values()):
         shown = sorted(judged, key=lambda camera: -shares[camera.name])[:OVERVIEW_ROWS]
-    rows = []
+    rows = {}
     for name in (camera.name for camera in shown):
         image = renders[name] / np.float32(255)
         detector = [result.probabilities[name]] if result.probabilities else []
-        rows.append([image, *detector, overlay(image, result.masks[name], _tint(result))])
+        rows[name] = [image, *detector, overlay(image, result.masks[name], _tint(result))]
     found = "candidates" if are_candidates(result.verdict) else "found"
     titles = ["render", *(["2D detector"] if result.probabilities else []), found]
-    contact_sheet(path, rows, titles=titles, labels=[camera.name for camera in shown])
+    contact_sheet(path, rows, titles=titles)
 
 
 def versions() -> dict[str, str]:

@@ -5,7 +5,7 @@ import dataclasses
 import logging
 import os
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,6 +16,11 @@ from gsc_jax.cli.options import Locate, arg
 from gsc_jax.cli.ownership import UNFINISHED, refuse_blocked, refuse_foreign_file, refuse_overlap
 from gsc_jax.cli.report.wording import share
 from gsc_jax.cli.staging import locked
+from gsc_jax.collection.manifest import Entry, read_manifest
+from gsc_jax.collection.page import MARK, collection_page
+from gsc_jax.collection.record import Row, merge_rows, read_rows
+from gsc_jax.collection.scan import import_ray, scan
+from gsc_jax.collection.settings import ScanSettings
 from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.io.files import atomic
 
@@ -68,11 +73,6 @@ class Scan(Locate):
 
 def run_scan(options: Scan, *, monitor: Monitor) -> tuple[list[str], list[str]]:
     """Scan a collection and write the results; lines to print, and warnings."""
-    from gsc_jax.collection.manifest import read_manifest
-    from gsc_jax.collection.page import MARK, collection_page
-    from gsc_jax.collection.record import merge_rows, read_rows
-    from gsc_jax.collection.scan import import_ray
-
     ray, out = import_ray(), options.out
     entries = read_manifest(options.scene)
     written = (PAGE, "scenes", "reports")
@@ -98,9 +98,7 @@ def run_scan(options: Scan, *, monitor: Monitor) -> tuple[list[str], list[str]]:
     return _summary([row for row in rows if row["id"] in ids], done, options, monitor), []
 
 
-def _settings(options: Scan) -> Any:
-    from gsc_jax.collection.settings import ScanSettings
-
+def _settings(options: Scan) -> ScanSettings:
     command = {field.name: getattr(options, field.name) for field in dataclasses.fields(Locate)}
     command |= {k: v.absolute() for k, v in command.items() if isinstance(v, Path)}
     command["detector"] = tuple(p.absolute() if p.exists() else p for p in options.detector)
@@ -129,9 +127,9 @@ def _connected(ray: Any, options: Scan) -> Iterator[None]:
         ray.shutdown()
 
 
-def _scanned(ray: Any, entries: Sequence[Any], settings: Any, monitor: Monitor) -> list[Any]:
-    from gsc_jax.collection.scan import scan
-
+def _scanned(
+    ray: Any, entries: Sequence[Entry], settings: ScanSettings, monitor: Monitor
+) -> list[Row]:
     logging.getLogger("ray.data").setLevel(logging.ERROR)
     ray.data.DataContext.get_current().enable_progress_bars = False
     blocks = min(len(entries), MAX_BLOCKS)
@@ -145,7 +143,7 @@ def _scanned(ray: Any, entries: Sequence[Any], settings: Any, monitor: Monitor) 
 
 
 def _summary(
-    rows: Sequence[Mapping[str, Any]], done: Sequence[Any], options: Scan, monitor: Monitor
+    rows: Sequence[Row], done: Sequence[Row], options: Scan, monitor: Monitor
 ) -> list[str]:
     """The most suspicious scenes, counts, errors by class, and where the results are."""
     ranked = [row for row in rows if row["scene_probability"] is not None]

@@ -163,15 +163,14 @@ def _write_overview(
     best = np.argsort(-edited.visible, kind="stable")
     count = max(OVERVIEW_ROWS, len(best) // 2)
     shown = evenly_spaced([cameras[i] for i in best[:count]], OVERVIEW_ROWS)
-    rows = []
+    rows = {}
     for camera in shown:
         scenes = original, edited.gaussians
         before, after = (np.asarray(render(s, camera, near=near)[0]) for s in scenes)
         truth = truth_mask(edited.gaussians, camera, edited.labels, near=near)
         difference = np.abs(after - before).mean(axis=-1)
-        rows.append([before, after, difference, overlay(after, truth)])
-    names = [camera.name for camera in shown]
-    contact_sheet(path, rows, titles=("before", "after", "difference", "tampered"), labels=names)
+        rows[camera.name] = [before, after, difference, overlay(after, truth)]
+    contact_sheet(path, rows, titles=("before", "after", "difference", "tampered"))
 
 
 def _lines(options: Tamper, edited: Tampered) -> list[str]:

@@ -1,7 +1,6 @@
 """One scene to one row: what `gsc-jax locate` finds in it, without the views unless needed.
 
 Without a 2D detector, the views only show the result, so that they are rendered for a report only.
-This module runs in a process that may be killed at any time; see `worker`.
 """
 
 import contextlib
@@ -73,14 +72,8 @@ def _found(inputs: Inputs, monitor: Monitor) -> tuple[Finding | Result, Prior | 
     """The finding of a scene, its prior, and its warnings."""
     gaussians, estimator = inputs.scene.gaussians, inputs.estimator
     if inputs.detector is not None:
-        result = locate(
-            gaussians,
-            inputs.cameras,
-            inputs.detector,
-            config=estimator,
-            prior=inputs.attributes,
-            monitor=monitor,
-        )
+        settings = {"config": estimator, "prior": inputs.attributes, "monitor": monitor}
+        result = locate(gaussians, inputs.cameras, inputs.detector, **settings)
         return result, result.prior, result.warnings
     with monitor.stage("attributes"):
         prior = forensic_evidence(gaussians)

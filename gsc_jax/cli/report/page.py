@@ -120,8 +120,7 @@ def complete_page(package: str, name: str, **values: Any) -> str:
     environment = jinja2.Environment(
         autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
     )
-    filters = {"share": wording.share, "percent": wording.percent, "trusted": Markup}
-    environment.filters |= filters
+    environment.filters |= {"share": wording.share, "percent": wording.percent, "trusted": Markup}
     digest = hashlib.sha256(read("js").encode()).digest()
     return environment.from_string(read("html")).render(
         style=read("css"),

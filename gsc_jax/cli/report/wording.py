@@ -1,7 +1,4 @@
-"""A finished run of `locate`, and sentences about results.
-
-The command line, the report and the viewer share them.
-"""
+"""A finished run of `locate`, and sentences about results for terminal, report and viewer."""
 
 import dataclasses
 from collections import Counter

@@ -67,9 +67,8 @@ def run_demo(
     _refuse_foreign(options.out)
     made = made or tampered_room(seed=options.seed)
     decoy = decoy_labels(made.gaussians, made.labels, seed=options.seed)
-    case = _simulated(made, decoy, options.seed, monitor)
     given = options.out / "input"
-    _write_input(given, case)
+    case = _made_input(given, made, decoy, options.seed, monitor)
     results = {
         name: _locate(given, options.out / name, name, options.seed, monitor) for name in RUNS
     }
@@ -99,8 +98,15 @@ def _refuse_foreign(out: Path) -> None:
             raise InputError(f"{path}: exists and is not from `demo`; give another --out")
 
 
-def _simulated(made: MadeScene, decoy: np.ndarray, seed: int, monitor: Monitor) -> Case:
-    """Render the truth, and simulate the detector on it; it may flag the decoy Gaussians, (N,)."""
+def _made_input(
+    folder: Path, made: MadeScene, decoy: np.ndarray, seed: int, monitor: Monitor
+) -> Case:
+    """Write a scene, its truth, and masks of a detector, which may flag the decoy Gaussians, (N,).
+
+    Held-out views get no mask.
+    """
+    save_cameras(folder / HELDOUT, made.heldout_cameras)
+    write_scene(folder, made.gaussians, made.cameras, made.labels)
     cameras, truth, decoys = [*made.cameras, *made.heldout_cameras], [], []
     for done, camera in enumerate(cameras, start=1):
         truth.append(truth_mask(made.gaussians, camera, made.labels))
@@ -108,17 +114,11 @@ def _simulated(made: MadeScene, decoy: np.ndarray, seed: int, monitor: Monitor) 
         monitor.progress("make", done, len(cameras))
     maps = simulate(np.stack(truth), np.stack(decoys), seed=seed, failures=REGIMES[REGIME])
     names = [camera.name for camera in cameras]
-    return Case(made, *(dict(zip(names, views, strict=True)) for views in (truth, maps)))
-
-
-def _write_input(folder: Path, case: Case) -> None:
-    """Write the input of the methods, and the truth; held-out views get no mask."""
-    made = case.made
-    save_cameras(folder / HELDOUT, made.heldout_cameras)
-    write_scene(folder, made.gaussians, made.cameras, made.labels)
+    case = Case(made, *(dict(zip(names, views, strict=True)) for views in (truth, maps)))
     masks = {camera.name: case.detector[camera.name] for camera in made.cameras}
     write_views(folder / "masks", masks, write_probability)
     write_views(folder / "truth", case.truth, write_mask)
+    return case
 
 
 def _locate_authentic(
@@ -130,7 +130,7 @@ def _locate_authentic(
         made, gaussians=made.gaussians.take(rows), labels=np.zeros(len(rows), bool)
     )
     given = options.out / "input" / "authentic"
-    _write_input(given, _simulated(room, decoy[rows], options.seed, monitor))
+    _made_input(given, room, decoy[rows], options.seed, monitor)
     return {
         name: _locate(given, options.out / f"authentic-{name}", name, options.seed, monitor)
         for name in (ATTRIBUTES_ONLY, "robust")

@@ -103,19 +103,10 @@ def run_locate(options: Locate, *, monitor: Monitor) -> Located:
 def locate_and_write(inputs: Inputs, *, prior: Prior | bool, monitor: Monitor) -> Located:
     """Find the tampered Gaussians of validated input, with a prior as of `locate`, and write."""
     options, scene, cameras = inputs.options, inputs.scene, inputs.cameras
-    identity = _identity(inputs)
-    with replacing(options.out, identity=identity) as folder:
+    with replacing(options.out, identity=_identity(inputs)) as folder:
         store = ArrayStore(views_of(folder), max_bytes=memory_limit(options.memory) // EXPANDED)
-        result = locate(
-            scene.gaussians,
-            cameras,
-            inputs.detector,
-            method=options.method,
-            config=inputs.estimator,
-            prior=prior,
-            monitor=monitor,
-            store=store,
-        )
+        settings = {"config": inputs.estimator, "prior": prior, "monitor": monitor, "store": store}
+        result = locate(scene.gaussians, cameras, inputs.detector, **settings)
         with monitor.stage("write"):
             renders = ByView(tuple(result.masks), lambda name: store.get(RENDER, name))
             write_results(folder, scene, cameras, result, renders, monitor=monitor)

@@ -150,9 +150,13 @@ def summary(located: Located, out: Path) -> list[str]:
     seconds = {name: stage["seconds"] for name, stage in result.stages.items()}
     slowest = sorted(seconds, key=seconds.__getitem__, reverse=True)[:3]
     times = ", ".join(f"{name} {seconds[name]:.1f} s" for name in slowest)
+    counts = Counter(result.reliability.values())
+    kinds = [f"{counts[key]} {name}" for key, (_, name, _) in RELIABILITY.items() if counts[key]]
+    views = views_sentence(result)
     return [
         *_verdict_lines(located),
-        *_view_lines(result),
+        *([f"masks    {', '.join(kinds)}"] if kinds else []),
+        *([f"views    {views}"] if views else []),
         *(f"trace    {trace.explanation}" for trace in found_traces(result)),
         f"method   {result.method}",
         f"time     {result.seconds:.1f} s (most work: {times})",
@@ -185,11 +189,3 @@ def _verdict_lines(located: Located) -> list[str]:
         f"{headline(verdict, int(result.labels.sum()))} {labels}",
         f"edited   {percent(verdict)} (scene probability). {meaning(verdict, masks=masks)}",
     ]
-
-
-def _view_lines(result: Result) -> list[str]:
-    counts = Counter(result.reliability.values())
-    kinds = [f"{counts[key]} {name}" for key, (_, name, _) in RELIABILITY.items() if counts[key]]
-    lines = [f"masks    {', '.join(kinds)}"] if kinds else []
-    views = views_sentence(result)
-    return [*lines, f"views    {views}"] if views else lines

@@ -18,7 +18,7 @@ from gsc_jax.benchmark.scenes import MadeScene, tampered_room
 from gsc_jax.benchmark.simulate import REGIMES, decoy_labels, simulate
 from gsc_jax.cli.locate import run_locate
 from gsc_jax.cli.options import Demo, Locate
-from gsc_jax.cli.pictures import contact_sheet, overlay
+from gsc_jax.cli.pictures import SHEET_ROWS, contact_sheet, overlay
 from gsc_jax.cli.scene_input import evenly_spaced
 from gsc_jax.cli.tamper import write_scene, write_views
 from gsc_jax.estimators import Method
@@ -35,7 +35,6 @@ HELDOUT = "heldout_cameras.json"  # the first file of the input that is written
 ATTRIBUTES_ONLY = "native"
 RUNS: dict[str, Method] = {ATTRIBUTES_ONLY: "robust", **{name: name for name in get_args(Method)}}
 """Runs by folder, each with its method; the first without masks."""
-PICTURE_ROWS = 4
 EXPLANATION = """\
 robust estimates the reliability of every mask and uses the attributes of the Gaussians;
 native uses the attributes alone, with a classifier that was trained on this room and such a
@@ -126,9 +125,8 @@ def _locate_authentic(
 ) -> dict[str, Result]:
     """Locate in the scene before the edit, with the methods that give a scene probability."""
     rows = np.flatnonzero(~made.labels)
-    room = dataclasses.replace(
-        made, gaussians=made.gaussians.take(rows), labels=np.zeros(len(rows), bool)
-    )
+    authentic = {"gaussians": made.gaussians.take(rows), "labels": made.labels[rows]}
+    room = dataclasses.replace(made, **authentic)
     given = options.out / "input" / "authentic"
     _made_input(given, room, decoy[rows], options.seed, monitor)
     return {
@@ -200,7 +198,7 @@ def _probability_table(results: Mapping[str, Result], authentic: Mapping[str, Re
 
 def _write_picture(path: Path, case: Case, found: Mapping[str, Views]) -> None:
     rows = {}
-    for camera in evenly_spaced(case.made.heldout_cameras, PICTURE_ROWS):
+    for camera in evenly_spaced(case.made.heldout_cameras, SHEET_ROWS):
         image = np.asarray(render(case.made.gaussians, camera)[0])
         masks = [case.truth, *found.values()]
         rows[camera.name] = [image, *(overlay(image, views[camera.name]) for views in masks)]

@@ -107,20 +107,22 @@ def locate_and_write(inputs: Inputs, *, prior: Prior | bool, monitor: Monitor) -
         store = ArrayStore(views_of(folder), max_bytes=memory_limit(options.memory) // EXPANDED)
         settings = {"config": inputs.estimator, "prior": prior, "monitor": monitor, "store": store}
         result = locate(scene.gaussians, cameras, inputs.detector, **settings)
-        with monitor.stage("write"):
-            renders = ByView(tuple(result.masks), lambda name: store.get(RENDER, name))
-            write_results(folder, scene, cameras, result, renders, monitor=monitor)
-        warnings = list(dict.fromkeys([*inputs.warnings, *result.warnings]))  # of `check_views`
-        times = {"stages": monitor.summary(), "seconds": monitor.elapsed()}
         located = Located(
             scene=scene,
             cameras=cameras,
-            result=dataclasses.replace(result, **times, warnings=warnings),
+            result=result,
             visible_share=float(np.mean([mask.mean() for mask in result.masks.values()])),
             inputs=inputs.files,
         )
+        with monitor.stage("write"):
+            renders = ByView(tuple(result.masks), lambda name: store.get(RENDER, name))
+            write_results(folder, located, renders, monitor=monitor)
+        warnings = list(dict.fromkeys([*inputs.warnings, *result.warnings]))  # of `check_views`
+        times = {"stages": monitor.summary(), "seconds": monitor.elapsed()}
+        result = dataclasses.replace(result, **times, warnings=warnings)
+        located = dataclasses.replace(located, result=result)
         write_report(folder, dataclasses.asdict(options), located, monitor=monitor)
-    result = dataclasses.replace(located.result, seconds=monitor.elapsed())
+    result = dataclasses.replace(result, seconds=monitor.elapsed())
     return dataclasses.replace(located, result=result)
 
 

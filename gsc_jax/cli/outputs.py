@@ -19,7 +19,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from gsc_jax.cli.pictures import CANDIDATE, TINT, contact_sheet, layer_path, overlay
+from gsc_jax.cli.pictures import CANDIDATE, SHEET_ROWS, TINT, contact_sheet, layer_path, overlay
 from gsc_jax.cli.report.page import report_page
 from gsc_jax.cli.report.wording import Located, are_candidates, found_traces
 from gsc_jax.cli.scene_input import evenly_spaced
@@ -29,26 +29,19 @@ from gsc_jax.io.cameras import save_cameras
 from gsc_jax.io.files import atomic
 from gsc_jax.io.highlight import save_highlight
 from gsc_jax.io.masks import write_image, write_mask, write_probability
-from gsc_jax.io.ply import PlyScene, save_tampered
+from gsc_jax.io.ply import save_tampered
 from gsc_jax.locate import Result
 from gsc_jax.scene import Camera
 from gsc_jax.scene.parallel import bounded_map, view_threads
 
 PACKAGES = ("gsc_jax", "numpy", "jax", "jaxlib", "optax")
-OVERVIEW_ROWS = 4
-"""Rows of overview.png: as many as fit on a screen."""
 
 
 def write_results(
-    folder: Path,
-    scene: PlyScene,
-    cameras: Sequence[Camera],
-    result: Result,
-    renders: Mapping[str, np.ndarray],
-    *,
-    monitor: Monitor,
+    folder: Path, located: Located, renders: Mapping[str, np.ndarray], *, monitor: Monitor
 ) -> None:
     """Write all results, with renders in 8 bit, except report.html and result.json."""
+    scene, cameras, result = located.scene, located.cameras, located.result
     monitor.progress("write", 0, len(cameras))
     save_cameras(folder / "views.json", cameras)
     save_tampered(folder / "tamper.ply", scene, result.tamper)
@@ -154,9 +147,9 @@ def _write_overview(
     """Render, probability map and mask of the views with the largest masks, among judged ones."""
     judged = [camera for camera in cameras if camera.name in result.probabilities] or cameras
     shares = {camera.name: result.masks[camera.name].mean() for camera in judged}
-    shown = evenly_spaced(judged, OVERVIEW_ROWS)
+    shown = evenly_spaced(judged, SHEET_ROWS)
     if any(shares.values()):
-        shown = sorted(judged, key=lambda camera: -shares[camera.name])[:OVERVIEW_ROWS]
+        shown = sorted(judged, key=lambda camera: -shares[camera.name])[:SHEET_ROWS]
     rows = {}
     for name in (camera.name for camera in shown):
         image = renders[name] / np.float32(255)

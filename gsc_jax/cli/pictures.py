@@ -16,6 +16,8 @@ OUTLINE = np.array([1.0, 0.95, 0.2], np.float32)
 CANDIDATE = np.array([0.1, 0.45, 1.0], np.float32)
 """Tint of what would be the edit if there was one."""
 CELL_INCHES, CELL_DPI = 3.2, 110
+SHEET_ROWS = 4
+"""Rows of a table of pictures: as many as fit on a screen."""
 
 
 def overlay(rgb: np.ndarray, mask: np.ndarray, tint: np.ndarray = TINT) -> np.ndarray:

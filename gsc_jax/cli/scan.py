@@ -75,8 +75,7 @@ def run_scan(options: Scan, *, monitor: Monitor) -> tuple[list[str], list[str]]:
     """Scan a collection and write the results; lines to print, and warnings."""
     ray, out = import_ray(), options.out
     entries = read_manifest(options.scene)
-    written = (PAGE, "scenes", "reports")
-    refuse_overlap(out, [options.scene], written=written)
+    refuse_overlap(out, [options.scene], written=(PAGE, "scenes", "reports"))
     refuse_blocked(out, [PAGE, "scenes/any", "reports/any", f"{UNFINISHED}/any"])
     refuse_foreign_file(out / PAGE, MARK)
     settings = _settings(options)

@@ -16,7 +16,7 @@ from gsc_jax.benchmark.tamper import Tampered, tamper
 from gsc_jax.cli.options import Tamper
 from gsc_jax.cli.outputs import save_array, versions, write_json
 from gsc_jax.cli.ownership import refuse_foreign, refuse_overlap
-from gsc_jax.cli.pictures import contact_sheet, overlay
+from gsc_jax.cli.pictures import SHEET_ROWS, contact_sheet, overlay
 from gsc_jax.cli.scene_input import check_numbers, choose_cameras, evenly_spaced, naming, read_scene
 from gsc_jax.cli.staging import replacing
 from gsc_jax.evidence.monitor import Monitor
@@ -32,8 +32,6 @@ REPORT = "edit.json"
 FILES = ("scene.ply", "cameras.json", "labels.npy", "overview.png", REPORT)
 BY_CAMERA = ("masks", "truth")
 """Folders with a picture per camera."""
-OVERVIEW_ROWS = 4
-"""Rows of overview.png: as many as fit on a screen."""
 
 
 def run_tamper(options: Tamper, *, monitor: Monitor) -> tuple[list[str], list[str]]:
@@ -161,8 +159,8 @@ def _write_overview(
 ) -> None:
     """Scene before and after, difference and truth, in the views that show most of the edit."""
     best = np.argsort(-edited.visible, kind="stable")
-    count = max(OVERVIEW_ROWS, len(best) // 2)
-    shown = evenly_spaced([cameras[i] for i in best[:count]], OVERVIEW_ROWS)
+    count = max(SHEET_ROWS, len(best) // 2)
+    shown = evenly_spaced([cameras[i] for i in best[:count]], SHEET_ROWS)
     rows = {}
     for camera in shown:
         scenes = original, edited.gaussians

@@ -1,6 +1,7 @@
 """The scenes of a collection: a folder, a glob, a text file, or a CSV or Parquet manifest."""
 
 import glob
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -94,8 +95,6 @@ def _entry(row: Mapping[str, str | None], source: Path) -> Entry:
 def _check(source: Path, entries: Sequence[Entry]) -> None:
     if not entries:
         raise InputError(f"{source}: holds no scene, expected .ply or compressed scenes")
-    seen: set[str | None] = set()
-    for entry in entries:
-        if entry["id"] in seen:
-            raise InputError(f"{source}: two scenes have the id {entry['id']!r}; give each its own")
-        seen.add(entry["id"])
+    for name, count in Counter(entry["id"] for entry in entries).items():
+        if count > 1:
+            raise InputError(f"{source}: two scenes have the id {name!r}; give each its own")

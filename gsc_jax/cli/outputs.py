@@ -1,6 +1,6 @@
-"""Files that `locate` writes into its folder, with pictures at full size: small ones save little.
+"""Files that `locate` writes into its folder.
 
-Most of the time of a small render would also go into sorting the Gaussians.
+Pictures have full size: most of the time of a small render would also go into sorting.
 """
 
 import dataclasses

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import hypothesis.strategies as st
 import pytest
@@ -33,7 +34,7 @@ def test_summary_starts_with_the_outcome(tmp_path: Path):
 
 
 def test_a_conflict_of_masks_and_attributes_is_the_first_sentence(tmp_path: Path):
-    def first(verdict: float, prior: float | None, **changes: object) -> str:
+    def first(verdict: float, prior: float | None, **changes: Any) -> str:
         given = None if prior is None else SimpleNamespace(verdict=prior, traces=())
         located = run(tmp_path, NAMES[:1], verdict=verdict, prior=given, **changes)
         return wording.summary(located, Path("out"))[0]

@@ -16,6 +16,7 @@ from gsc_jax.cli.report.wording import Located
 from gsc_jax.estimators.protocol import Reliability
 from gsc_jax.estimators.robust.early_stopping import EarlyStopping
 from gsc_jax.estimators.robust.estimator import RobustEstimator
+from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.forensics.traces import Trace
 from gsc_jax.io.masks import image_path, write_image, write_mask, write_probability
 from gsc_jax.io.ply import read_ply, save_ply
@@ -68,7 +69,7 @@ def run(
 ) -> Located:
     """A run of `robust` with a detector; a block in the middle of the views is tampered.
 
-    `folder` receives the scene file; `changes` are fields of the result, or `warnings`.
+    `folder` receives the scene file; `changes` are fields of the result.
     """
     labels = np.arange(COUNT) < TAMPERED
     save_ply(folder / "scene.ply", _gaussians(labels))
@@ -93,18 +94,14 @@ def run(
         ),
         prior=_prior(),
         estimator=RobustEstimator(),
-        stages={},
-        seconds=1.0,
-        warnings=[],
+        stages={"attributes": {"seconds": 7.5, "peak_mib": 1234.5}},
+        seconds=12.34,
+        warnings=["The <b>masks</b> disagree."],
     )
-    warnings = changes.pop("warnings", ["The <b>masks</b> disagree."])
     return Located(
         scene=read_ply(folder / "scene.ply"),
         cameras=cameras,
         result=dataclasses.replace(result, **changes),
-        stages={"attributes": {"seconds": 7.5, "peak_mib": 1234.5}},
-        seconds=12.34,
-        warnings=warnings,
         visible_share=float(np.mean([mask.mean() for mask in masks.values()])),
         inputs={"scene.ply": {"bytes": 12345, "sha256": "5a" * 32}},
     )
@@ -121,7 +118,8 @@ def write(folder: Path, located: Located, *, pictures: bool = True) -> Page:
             render = np.full((*mask.shape, 3), GREEN, np.float32)
             write_image(layer_path(folder, "render", name), render)
             write_image(layer_path(folder, "overlay", name), overlay(render, mask))
-    write_report(folder, {"scene": Path("some <i>scene</i>.ply"), "views": None}, located)
+    command = {"scene": Path("some <i>scene</i>.ply"), "views": None}
+    write_report(folder, command, located, monitor=Monitor())
     return Page((folder / "report.html").read_text(encoding="utf-8"))
 
 

@@ -3,8 +3,7 @@
 The file has two tables: `command`, the options of `locate` with underscores for dashes, and
 `config`, the fields of the estimator, some of which have no option. The result.json of a run is
 such a file, so that a run can be repeated. Command-line options override the file, which overrides
-the defaults. If the command line names another method than the file, the settings of the file that
-depend on the method are dropped.
+the defaults.
 """
 
 import dataclasses
@@ -58,7 +57,7 @@ class ConfigFile:
         return ConfigFile(
             method=method,
             command={**command, "method": method},
-            estimator=_replaced(METHODS[method], shared),
+            estimator=replaced(METHODS[method], shared),
         )
 
 
@@ -89,7 +88,7 @@ def read_config_file(path: str | Path) -> ConfigFile:
     try:
         if report:
             _reopen_schedule(base, config, content.get("judged_views"))
-        estimator = _replaced(base, config)
+        estimator = replaced(base, config)
     except ValueError as error:
         raise InputError(f"{path}: config: {error}") from error
     return ConfigFile(method=method, command=command, estimator=estimator)
@@ -166,16 +165,16 @@ def _reopen_schedule(base: Estimator, config: Table, views: Any) -> None:
     loop = config.get("loop")
     if loop is None or not isinstance(views, int):
         return
-    unset = _replaced(base, {**config, "loop": {**loop, "contrastive_start": None}})
+    unset = replaced(base, {**config, "loop": {**loop, "contrastive_start": None}})
     default = typing.cast(Any, unset.for_views(views)).loop.contrastive_start
     if loop.get("contrastive_start") == default:
         loop["contrastive_start"] = None
 
 
-def _replaced(base: Any, changes: Table) -> Any:
+def replaced(base: Any, changes: Table) -> Any:
     """A dataclass with some fields replaced; a table replaces fields of a nested dataclass."""
     nested = {
-        name: _replaced(getattr(base, name), value)
+        name: replaced(getattr(base, name), value)
         for name, value in changes.items()
         if dataclasses.is_dataclass(getattr(base, name))
     }

@@ -1,9 +1,7 @@
 """`gsc-jax demo`: locate a pasted object in a generated scene, and compare with the truth.
 
 All input and output goes through files and through the code of `gsc-jax locate`. The simulated
-detector has all failures at once (`mixture`): single masks are then of little use. The masks are
-scored on held-out views. The scene before the edit is located as well, to compare the scene
-probabilities.
+detector has all failures at once (`mixture`): single masks are then of little use.
 """
 
 import dataclasses
@@ -20,7 +18,7 @@ from gsc_jax.benchmark.scenes import MadeScene, tampered_room
 from gsc_jax.benchmark.simulate import REGIMES, decoy_labels, simulate
 from gsc_jax.cli.locate import run_locate
 from gsc_jax.cli.options import Demo, Locate
-from gsc_jax.cli.pictures import contact_sheet, overlay
+from gsc_jax.cli.pictures import SHEET_ROWS, contact_sheet, overlay
 from gsc_jax.cli.scene_input import evenly_spaced
 from gsc_jax.cli.tamper import write_scene, write_views
 from gsc_jax.estimators import Method
@@ -37,7 +35,6 @@ HELDOUT = "heldout_cameras.json"  # the first file of the input that is written
 ATTRIBUTES_ONLY = "native"
 RUNS: dict[str, Method] = {ATTRIBUTES_ONLY: "robust", **{name: name for name in get_args(Method)}}
 """Runs by folder, each with its method; the first without masks."""
-PICTURE_ROWS = 4
 EXPLANATION = """\
 robust estimates the reliability of every mask and uses the attributes of the Gaussians;
 native uses the attributes alone, with a classifier that was trained on this room and such a
@@ -63,16 +60,14 @@ class Case(NamedTuple):
 
 
 def run_demo(
-    options: Demo, *, made: MadeScene | None = None, monitor: Monitor | None = None
+    options: Demo, *, monitor: Monitor, made: MadeScene | None = None
 ) -> tuple[list[str], list[str]]:
     """Generate the scene, by default `tampered_room`, run all methods; lines and warnings."""
     _refuse_foreign(options.out)
-    monitor = monitor or Monitor()
     made = made or tampered_room(seed=options.seed)
     decoy = decoy_labels(made.gaussians, made.labels, seed=options.seed)
-    case = _simulated(made, decoy, options.seed, monitor)
     given = options.out / "input"
-    _write_input(given, case)
+    case = _made_input(given, made, decoy, options.seed, monitor)
     results = {
         name: _locate(given, options.out / name, name, options.seed, monitor) for name in RUNS
     }
@@ -102,8 +97,15 @@ def _refuse_foreign(out: Path) -> None:
             raise InputError(f"{path}: exists and is not from `demo`; give another --out")
 
 
-def _simulated(made: MadeScene, decoy: np.ndarray, seed: int, monitor: Monitor) -> Case:
-    """Render the truth, and simulate the detector on it; it may flag the decoy Gaussians, (N,)."""
+def _made_input(
+    folder: Path, made: MadeScene, decoy: np.ndarray, seed: int, monitor: Monitor
+) -> Case:
+    """Write a scene, its truth, and masks of a detector, which may flag the decoy Gaussians, (N,).
+
+    Held-out views get no mask.
+    """
+    save_cameras(folder / HELDOUT, made.heldout_cameras)
+    write_scene(folder, made.gaussians, made.cameras, made.labels)
     cameras, truth, decoys = [*made.cameras, *made.heldout_cameras], [], []
     for done, camera in enumerate(cameras, start=1):
         truth.append(truth_mask(made.gaussians, camera, made.labels))
@@ -111,17 +113,11 @@ def _simulated(made: MadeScene, decoy: np.ndarray, seed: int, monitor: Monitor) 
         monitor.progress("make", done, len(cameras))
     maps = simulate(np.stack(truth), np.stack(decoys), seed=seed, failures=REGIMES[REGIME])
     names = [camera.name for camera in cameras]
-    return Case(made, *(dict(zip(names, views, strict=True)) for views in (truth, maps)))
-
-
-def _write_input(folder: Path, case: Case) -> None:
-    """Write the input of the methods, and the truth; held-out views get no mask."""
-    made = case.made
-    save_cameras(folder / HELDOUT, made.heldout_cameras)
-    write_scene(folder, made.gaussians, made.cameras, made.labels)
+    case = Case(made, *(dict(zip(names, views, strict=True)) for views in (truth, maps)))
     masks = {camera.name: case.detector[camera.name] for camera in made.cameras}
     write_views(folder / "masks", masks, write_probability)
     write_views(folder / "truth", case.truth, write_mask)
+    return case
 
 
 def _locate_authentic(
@@ -129,11 +125,10 @@ def _locate_authentic(
 ) -> dict[str, Result]:
     """Locate in the scene before the edit, with the methods that give a scene probability."""
     rows = np.flatnonzero(~made.labels)
-    room = dataclasses.replace(
-        made, gaussians=made.gaussians.take(rows), labels=np.zeros(len(rows), bool)
-    )
+    authentic = {"gaussians": made.gaussians.take(rows), "labels": made.labels[rows]}
+    room = dataclasses.replace(made, **authentic)
     given = options.out / "input" / "authentic"
-    _write_input(given, _simulated(room, decoy[rows], options.seed, monitor))
+    _made_input(given, room, decoy[rows], options.seed, monitor)
     return {
         name: _locate(given, options.out / f"authentic-{name}", name, options.seed, monitor)
         for name in (ATTRIBUTES_ONLY, "robust")
@@ -202,10 +197,9 @@ def _probability_table(results: Mapping[str, Result], authentic: Mapping[str, Re
 
 
 def _write_picture(path: Path, case: Case, found: Mapping[str, Views]) -> None:
-    cameras, rows = evenly_spaced(case.made.heldout_cameras, PICTURE_ROWS), []
-    for camera in cameras:
+    rows = {}
+    for camera in evenly_spaced(case.made.heldout_cameras, SHEET_ROWS):
         image = np.asarray(render(case.made.gaussians, camera)[0])
         masks = [case.truth, *found.values()]
-        rows.append([image, *(overlay(image, views[camera.name]) for views in masks)])
-    titles = ("render", "truth", *found)
-    contact_sheet(path, rows, titles=titles, labels=[camera.name for camera in cameras])
+        rows[camera.name] = [image, *(overlay(image, views[camera.name]) for views in masks)]
+    contact_sheet(path, rows, titles=("render", "truth", *found))

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from gsc_jax.cli.cache import cache_folder
-from gsc_jax.cli.config_file import read_config_file
+from gsc_jax.cli.config_file import METHOD_OPTIONS, SHARED_FIELDS, read_config_file, replaced
 from gsc_jax.cli.options import Locate
 from gsc_jax.detectors.cache import CachedDetector
 from gsc_jax.detectors.folder import FolderDetector
@@ -30,20 +30,16 @@ def configured_estimator(options: Locate) -> Estimator:
     base: Any = METHODS[options.method]
     if options.config is not None:
         base = read_config_file(options.config).for_method(options.method).estimator
-    changes: dict[str, Any] = {"near": options.near, "seed": options.seed}
-    for name in ("threshold", "mask_rule", "epochs", "lambda2"):
-        if getattr(options, name) is not None:
-            changes[name] = getattr(options, name)
-    loop: Any = getattr(base, "loop", None)
-    weights = {"lambda2": changes.pop("lambda2")} if loop and "lambda2" in changes else {}
+    given = {name: getattr(options, name) for name in (*SHARED_FIELDS, *METHOD_OPTIONS)}
+    changes = {name: value for name, value in given.items() if value is not None}
+    if hasattr(base, "loop") and "lambda2" in changes:
+        changes["loop"] = {"lambda2": changes.pop("lambda2")}
     for name in changes.keys() - {field.name for field in dataclasses.fields(base)}:
         raise InputError(f"--{name}: does not apply to --method {options.method}")
     if base.stops_early and (options.all_views or options.views):
         changes["tolerance"] = 0.0
     try:
-        if weights:
-            changes["loop"] = dataclasses.replace(loop, **weights)
-        return dataclasses.replace(base, **changes)
+        return replaced(base, changes)
     except ValueError as error:
         raise InputError(f"options of --method {options.method}: {error}") from error
 

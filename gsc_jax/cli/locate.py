@@ -1,7 +1,4 @@
-"""`gsc-jax locate`: from files to a folder of results; all input is checked first.
-
-With --dry-run, nothing is computed, and the resolved configuration is printed.
-"""
+"""`gsc-jax locate`: from files to a folder of results; all input is checked first."""
 
 import dataclasses
 import hashlib
@@ -25,7 +22,7 @@ from gsc_jax.cli.options import Locate
 from gsc_jax.cli.outputs import planned_outputs, versions, write_report, write_results
 from gsc_jax.cli.ownership import refuse_foreign, refuse_overlap
 from gsc_jax.cli.report.wording import Located
-from gsc_jax.cli.scene_input import check_numbers, choose_cameras, naming, read_scene
+from gsc_jax.cli.scene_input import check_numbers, choose_cameras, read_scene
 from gsc_jax.cli.staging import BY_CAMERA, FILES, replacing, views_of, writing_to
 from gsc_jax.estimators.protocol import Estimator, Prior
 from gsc_jax.evidence.detector import Detector
@@ -36,7 +33,6 @@ from gsc_jax.io.cameras import camera_files
 from gsc_jax.io.files import content_bytes, content_digest, memory_limit
 from gsc_jax.io.ply import PlyScene
 from gsc_jax.locate import locate
-from gsc_jax.render.visibility import check_views
 from gsc_jax.scene import Camera, InputError
 
 EXPANDED = 16
@@ -82,12 +78,9 @@ def read_inputs(options: Locate, *, monitor: Monitor) -> Inputs:
     digests = {str(p): {"bytes": content_bytes(p), "sha256": content_digest(p)} for p in files}
     # Once, since NumPy reads the arrays of JAX without copying, but not the other way round.
     scene = dataclasses.replace(scene, gaussians=jax.device_put(scene.gaussians))
-    if options.views:
-        usable = detector.select(cameras) if detector else cameras
-        cameras = choose_cameras(options, usable, warnings)
+    usable = detector.select(cameras) if detector and options.views else cameras
+    cameras = choose_cameras(options, scene, usable, warnings)
     refuse_foreign(options.out, planned_outputs(cameras), report="result.json")
-    with naming(options.cameras or options.scene):
-        check_views(scene.gaussians, cameras, near=options.near)  # `locate` repeats its warnings
     return Inputs(
         options=options,
         estimator=estimator,
@@ -100,9 +93,8 @@ def read_inputs(options: Locate, *, monitor: Monitor) -> Inputs:
     )
 
 
-def run_locate(options: Locate, *, monitor: Monitor | None = None) -> Located:
+def run_locate(options: Locate, *, monitor: Monitor) -> Located:
     """Find the tampered Gaussians of a scene file and write the results."""
-    monitor = monitor or Monitor()
     with monitor.stage("load"):
         inputs = read_inputs(options, monitor=monitor)
     return locate_and_write(inputs, prior=inputs.attributes, monitor=monitor)
@@ -111,54 +103,45 @@ def run_locate(options: Locate, *, monitor: Monitor | None = None) -> Located:
 def locate_and_write(inputs: Inputs, *, prior: Prior | bool, monitor: Monitor) -> Located:
     """Find the tampered Gaussians of validated input, with a prior as of `locate`, and write."""
     options, scene, cameras = inputs.options, inputs.scene, inputs.cameras
-    identity = _identity(inputs)
-    with replacing(options.out, identity=identity) as folder:
+    with replacing(options.out, identity=_identity(inputs)) as folder:
         store = ArrayStore(views_of(folder), max_bytes=memory_limit(options.memory) // EXPANDED)
-        result = locate(
-            scene.gaussians,
-            cameras,
-            inputs.detector,
-            method=options.method,
-            config=inputs.estimator,
-            prior=prior,
-            monitor=monitor,
-            store=store,
-        )
-        with monitor.stage("write"):
-            renders = ByView(tuple(result.masks), lambda name: store.get(RENDER, name))
-            write_results(folder, scene, cameras, result, renders, monitor=monitor)
+        settings = {"config": inputs.estimator, "prior": prior, "monitor": monitor, "store": store}
+        result = locate(scene.gaussians, cameras, inputs.detector, **settings)
         located = Located(
             scene=scene,
             cameras=cameras,
             result=result,
-            stages=monitor.summary(),
-            seconds=monitor.elapsed(),
-            warnings=[*inputs.warnings, *result.warnings],
             visible_share=float(np.mean([mask.mean() for mask in result.masks.values()])),
             inputs=inputs.files,
         )
+        with monitor.stage("write"):
+            renders = ByView(tuple(result.masks), lambda name: store.get(RENDER, name))
+            write_results(folder, located, renders, monitor=monitor)
+        warnings = list(dict.fromkeys([*inputs.warnings, *result.warnings]))  # of `check_views`
+        times = {"stages": monitor.summary(), "seconds": monitor.elapsed()}
+        result = dataclasses.replace(result, **times, warnings=warnings)
+        located = dataclasses.replace(located, result=result)
         write_report(folder, dataclasses.asdict(options), located, monitor=monitor)
-    return dataclasses.replace(located, seconds=monitor.elapsed())
+    result = dataclasses.replace(result, seconds=monitor.elapsed())
+    return dataclasses.replace(located, result=result)
 
 
 def _identity(inputs: Inputs) -> str:
     """Digest of all that determines the maps and the evidence of the views of a run."""
     digest = hashlib.blake2b(digest_size=16)
-    for values in jax.tree.leaves(inputs.scene.gaussians):
+    for values in jax.tree.leaves((inputs.scene.gaussians, inputs.cameras)):
         digest.update(np.ascontiguousarray(values).data)
-    for camera in inputs.cameras:
-        digest.update(repr((camera.name, camera.width, camera.height)).encode())
-        digest.update(np.asarray(camera.viewmat).tobytes() + np.asarray(camera.K).tobytes())
+    views = [(camera.name, camera.width, camera.height) for camera in inputs.cameras]
     # Without a fingerprint, nothing is known about the outputs of another run.
     detector = getattr(inputs.detector, "fingerprint", uuid.uuid4().hex)
     installed = {(package.name, package.version) for package in distributions()}
-    facts = detector, inputs.estimator.near, sorted(installed), sorted(versions().items())
+    facts = views, detector, inputs.estimator.near, sorted(installed), sorted(versions().items())
     digest.update(repr(facts).encode())
     return digest.hexdigest()
 
 
 def dry_run(options: Locate, *, monitor: Monitor) -> tuple[list[str], list[str]]:
-    """Describe a run of `locate`, which is not started: lines to print, and warnings."""
+    """Describe a run of `locate`, of which nothing is computed: lines to print, and warnings."""
     existing = next(p for p in (options.out, *options.out.absolute().parents) if p.exists())
     with writing_to(options.out):
         tempfile.TemporaryFile(dir=existing).close()

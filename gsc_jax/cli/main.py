@@ -16,9 +16,8 @@ import os
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
-from dataclasses import fields
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args
 
 import tyro
 
@@ -42,17 +41,7 @@ from gsc_jax.io.validation import printable
 from gsc_jax.scene import InputError
 
 Command = Locate | Scan | Render | Tamper | Evaluate | Check | Verify | View | Demo
-COMMANDS: dict[str, type] = {
-    "locate": Locate,
-    "scan": Scan,
-    "render": Render,
-    "tamper": Tamper,
-    "evaluate": Evaluate,
-    "check": Check,
-    "verify": Verify,
-    "view": View,
-    "demo": Demo,
-}
+COMMANDS: dict[str, type] = {kind.__name__.lower(): kind for kind in get_args(Command)}
 ENVIRONMENT = (
     *(errno.EACCES, errno.EPERM, errno.EROFS),
     *(errno.ENOSPC, errno.EDQUOT, errno.EFBIG),
@@ -125,8 +114,7 @@ def _parse(argv: Sequence[str], default: Locate | None = None) -> Any:
     for name, kind in COMMANDS.items():
         settings: dict[str, Any] = {}
         if default and issubclass(kind, Locate):
-            known = {field.name: getattr(default, field.name) for field in fields(Locate)}
-            settings["default"] = kind(**known)
+            settings["default"] = kind(**vars(default))
         if brief:
             settings["description"] = (kind.__doc__ or "").partition("\n")[0]
         kinds.append(Annotated[kind, tyro.conf.subcommand(name=name, **settings)])
@@ -170,12 +158,7 @@ def _run(command: Command) -> None:
         found = list(dict.fromkeys([*own, *_sentences(raised)]))
         if found:
             count = f"{len(found)} warning{'s' if len(found) > 1 else ''}:"
-            print(
-                count,
-                *(f"  {printable(sentence)}" for sentence in found),
-                sep="\n",
-                file=sys.stderr,
-            )
+            print(count, *map(printable, found), sep="\n  ", file=sys.stderr)
 
 
 def _answer(command: Command, monitor: Monitor) -> Answer:
@@ -190,7 +173,7 @@ def _answer(command: Command, monitor: Monitor) -> Answer:
             return run_view(command, monitor=monitor, say=_say)
         case Locate() if not isinstance(command, Scan) and not command.dry_run:
             located = run_locate(command, monitor=monitor)
-            return summary(located, command.out), located.warnings
+            return summary(located, command.out), located.result.warnings
     runs = {Demo: run_demo, Render: run_render, Tamper: run_tamper, Scan: run_scan, Locate: dry_run}
     return runs[type(command)](command, monitor=monitor)
 
@@ -227,11 +210,8 @@ def _is_outside(error: OSError, command: Command | None) -> bool:
 
 def _paths(command: Command) -> list[Path]:
     """All paths among the options."""
-    values: list[Any] = []
-    for field in fields(command):
-        value = getattr(command, field.name)
-        values += value if isinstance(value, tuple) else [value]
-    return [value for value in values if isinstance(value, Path)]
+    given = [value if isinstance(value, tuple) else (value,) for value in vars(command).values()]
+    return [value for values in given for value in values if isinstance(value, Path)]
 
 
 def _check_paths(command: Command) -> None:

@@ -1,10 +1,10 @@
 """Files that `locate` writes into its folder.
 
-Masks are PNG. Pictures for people are JPEG, of every view and at full size: most of the time of a
-small render would also go into sorting the Gaussians.
+Pictures have full size: most of the time of a small render would also go into sorting.
 """
 
 import dataclasses
+import functools
 import hashlib
 import importlib.metadata
 import json
@@ -19,7 +19,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from gsc_jax.cli.pictures import CANDIDATE, TINT, contact_sheet, layer_path, overlay
+from gsc_jax.cli.pictures import CANDIDATE, SHEET_ROWS, TINT, contact_sheet, layer_path, overlay
 from gsc_jax.cli.report.page import report_page
 from gsc_jax.cli.report.wording import Located, are_candidates, found_traces
 from gsc_jax.cli.scene_input import evenly_spaced
@@ -29,32 +29,19 @@ from gsc_jax.io.cameras import save_cameras
 from gsc_jax.io.files import atomic
 from gsc_jax.io.highlight import save_highlight
 from gsc_jax.io.masks import write_image, write_mask, write_probability
-from gsc_jax.io.ply import PlyScene, save_tampered
+from gsc_jax.io.ply import save_tampered
 from gsc_jax.locate import Result
 from gsc_jax.scene import Camera
 from gsc_jax.scene.parallel import bounded_map, view_threads
 
 PACKAGES = ("gsc_jax", "numpy", "jax", "jaxlib", "optax")
-OVERVIEW_RENDERS, OVERVIEW_ROWS = 8, 4
-"""Renders that are kept for overview.png, and rows in it: as many as fit on a screen. More renders
-than rows are kept, because views with a mask of the detector are preferred."""
 
 
 def write_results(
-    folder: Path,
-    scene: PlyScene,
-    cameras: Sequence[Camera],
-    result: Result,
-    renders: Mapping[str, np.ndarray],
-    *,
-    monitor: Monitor | None = None,
+    folder: Path, located: Located, renders: Mapping[str, np.ndarray], *, monitor: Monitor
 ) -> None:
     """Write all results, with renders in 8 bit, except report.html and result.json."""
-    monitor = monitor or Monitor()
-    shares = {camera.name: result.masks[camera.name].mean() for camera in cameras}
-    most = sorted(cameras, key=lambda camera: -shares[camera.name])
-    chosen = most if any(shares.values()) else evenly_spaced(cameras, OVERVIEW_RENDERS)
-    shown = [camera.name for camera in chosen[:OVERVIEW_RENDERS]]
+    scene, cameras, result = located.scene, located.cameras, located.result
     monitor.progress("write", 0, len(cameras))
     save_cameras(folder / "views.json", cameras)
     save_tampered(folder / "tamper.ply", scene, result.tamper)
@@ -62,15 +49,11 @@ def write_results(
     save_highlight(folder / "highlight.ply", scene.gaussians, result.labels, candidates=candidates)
     save_array(folder / "labels.npy", scene.expand(result.labels))
     save_array(folder / "tamper.npy", scene.expand(result.tamper))
-    monitor.progress("write", 0, len(cameras))  # from here on, time is proportional to the views
-
-    def write_view(camera: Camera) -> None:
-        _write_view(folder, camera.name, result, renders[camera.name] / np.float32(255))
-
+    write_view = functools.partial(_write_view, folder, result, renders)
     with view_threads() as pool:
         for done, _ in enumerate(bounded_map(pool, write_view, cameras), start=1):
             monitor.progress("write", done, len(cameras))
-    _write_overview(folder / "overview.png", {name: renders[name] for name in shown}, result)
+    _write_overview(folder / "overview.png", cameras, result, renders)
 
 
 def planned_outputs(cameras: Sequence[Camera]) -> list[str]:
@@ -80,7 +63,7 @@ def planned_outputs(cameras: Sequence[Camera]) -> list[str]:
 
 
 def write_report(
-    folder: Path, command: dict[str, Any], located: Located, *, monitor: Monitor | None = None
+    folder: Path, command: dict[str, Any], located: Located, *, monitor: Monitor
 ) -> None:
     """Write report.html, and result.json with the same numbers and all files of the folder."""
     outputs = sorted([*files_below(folder), "report.html", "result.json"])
@@ -119,9 +102,9 @@ def _numbers(command: dict[str, Any], located: Located) -> dict[str, Any]:
         "early_stopping": stopping and {**dataclasses.asdict(stopping), "reason": stopping.reason},
         "tampered_share_of_views": located.visible_share,
         "per_view": [_view(camera, result) for camera in located.cameras],
-        "seconds": located.seconds,
-        "stages": located.stages,
-        "warnings": located.warnings,
+        "seconds": result.seconds,
+        "stages": result.stages,
+        "warnings": result.warnings,
         "inputs": located.inputs,
         "configuration": hashlib.sha256(json.dumps(jsonable(config)).encode()).hexdigest(),
         "versions": versions(),
@@ -141,8 +124,11 @@ def _view(camera: Camera, result: Result) -> dict[str, Any]:
     }
 
 
-def _write_view(folder: Path, name: str, result: Result, image: np.ndarray) -> None:
+def _write_view(
+    folder: Path, result: Result, renders: Mapping[str, np.ndarray], camera: Camera
+) -> None:
     """Write the masks and pictures of a view."""
+    name, image = camera.name, renders[camera.name] / np.float32(255)
     mask = result.masks[name]
     write_mask(layer_path(folder, "masks", name), mask)
     if name in result.probabilities:
@@ -155,19 +141,23 @@ def _tint(result: Result) -> np.ndarray:
     return CANDIDATE if are_candidates(result.verdict) else TINT
 
 
-def _write_overview(path: Path, renders: Mapping[str, np.ndarray], result: Result) -> None:
-    """Render, probability map and mask of a few views, preferably of those with a detector mask."""
-    judged = [name for name in renders if name in result.probabilities] or list(renders)
-    names = judged[:OVERVIEW_ROWS]
-    rows = []
-    for name in names:
+def _write_overview(
+    path: Path, cameras: Sequence[Camera], result: Result, renders: Mapping[str, np.ndarray]
+) -> None:
+    """Render, probability map and mask of the views with the largest masks, among judged ones."""
+    judged = [camera for camera in cameras if camera.name in result.probabilities] or cameras
+    shares = {camera.name: result.masks[camera.name].mean() for camera in judged}
+    shown = evenly_spaced(judged, SHEET_ROWS)
+    if any(shares.values()):
+        shown = sorted(judged, key=lambda camera: -shares[camera.name])[:SHEET_ROWS]
+    rows = {}
+    for name in (camera.name for camera in shown):
         image = renders[name] / np.float32(255)
-        blank = np.zeros(image.shape[:2], np.float16)
-        detector = [result.probabilities.get(name, blank)] if result.probabilities else []
-        rows.append([image, *detector, overlay(image, result.masks[name], _tint(result))])
+        detector = [result.probabilities[name]] if result.probabilities else []
+        rows[name] = [image, *detector, overlay(image, result.masks[name], _tint(result))]
     found = "candidates" if are_candidates(result.verdict) else "found"
     titles = ["render", *(["2D detector"] if result.probabilities else []), found]
-    contact_sheet(path, rows, titles=titles, labels=names)
+    contact_sheet(path, rows, titles=titles)
 
 
 def versions() -> dict[str, str]:

@@ -47,8 +47,8 @@ def refuse_overlap(out: Path, inputs: Sequence[Path], *, written: Sequence[str])
 def refuse_foreign(out: Path, names: Sequence[str], *, report: str) -> None:
     """Raise InputError if a file in the way is not an output of an earlier run as it was written.
 
-    In the way are the `names`, which are to be written, and the other outputs of that run. What
-    `refuse_blocked` refuses is refused, too.
+    In the way are the `names`, which are to be written, other outputs of that run, and what
+    `refuse_blocked` refuses.
     """
     refuse_blocked(out, names)
     digests, finished = listed_outputs(out, report), read_journal(out)
@@ -118,8 +118,7 @@ def refuse_blocked(out: Path, names: Sequence[str]) -> None:
 def read_journal(out: Path) -> dict[str, list[str]]:
     """What a killed run of this user has still to move and remove; empty lists if nothing."""
     with contextlib.suppress(OSError, ValueError):
-        path = existing_file(out / UNFINISHED / JOURNAL, expected="a journal")
-        content = path.read_bytes()
+        content = existing_file(out / UNFINISHED / JOURNAL, expected="").read_bytes()
         text = content.partition(b"\n")[2].decode("utf-8")
         # A journal from elsewhere could remove or replace anything in the folder.
         if hmac.compare_digest(content, sealed(out, text)):

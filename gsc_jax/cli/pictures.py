@@ -1,7 +1,7 @@
 """Pictures for people: masks drawn into renders, and tables of pictures."""
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,8 @@ OUTLINE = np.array([1.0, 0.95, 0.2], np.float32)
 CANDIDATE = np.array([0.1, 0.45, 1.0], np.float32)
 """Tint of what would be the edit if there was one."""
 CELL_INCHES, CELL_DPI = 3.2, 110
+SHEET_ROWS = 4
+"""Rows of a table of pictures: as many as fit on a screen."""
 
 
 def overlay(rgb: np.ndarray, mask: np.ndarray, tint: np.ndarray = TINT) -> np.ndarray:
@@ -40,20 +42,16 @@ def layer_path(folder: str | Path, layer: str, name: str) -> Path:
 
 
 def contact_sheet(
-    path: str | Path,
-    rows: Sequence[Sequence[np.ndarray]],
-    *,
-    titles: Sequence[str],
-    labels: Sequence[str],
+    path: Path, rows: Mapping[str, Sequence[np.ndarray]], *, titles: Sequence[str]
 ) -> None:
-    """Write pictures, (H, W, 3) or grey (H, W), in [0, 1] or bool, as a table into a .png."""
+    """Write rows of pictures, (H, W, 3) or grey (H, W), in [0, 1] or bool, into a .png."""
     from matplotlib.figure import Figure
 
-    height, width = rows[0][0].shape[:2]
+    height, width = next(iter(rows.values()))[0].shape[:2]
     size = (CELL_INCHES * len(titles), (CELL_INCHES * height / width + 0.04) * len(rows) + 0.3)
     figure = Figure(figsize=size, dpi=CELL_DPI, layout="constrained")
     table = figure.subplots(len(rows), len(titles), squeeze=False)
-    for axes_row, pictures, label in zip(table, rows, labels, strict=True):
+    for axes_row, (label, pictures) in zip(table, rows.items(), strict=True):
         axes_row[0].set_ylabel(label, fontsize=8)
         for axes, picture in zip(axes_row, pictures, strict=True):
             axes.imshow(np.asarray(picture, np.float32), cmap="gray", vmin=0, vmax=1)

@@ -14,12 +14,11 @@ import numpy as np
 from gsc_jax.cli.options import Render
 from gsc_jax.cli.outputs import versions, write_json
 from gsc_jax.cli.ownership import refuse_foreign, refuse_overlap
-from gsc_jax.cli.scene_input import check_numbers, choose_cameras, naming, read_scene
+from gsc_jax.cli.scene_input import check_numbers, choose_cameras, read_scene
 from gsc_jax.cli.staging import replacing
 from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.io.cameras import camera_files, save_cameras
 from gsc_jax.io.masks import image_path, write_image
-from gsc_jax.render.visibility import check_views
 from gsc_jax.scene import Camera, InputError
 from gsc_jax.splat import render
 
@@ -34,13 +33,11 @@ def run_render(options: Render, *, monitor: Monitor) -> tuple[list[str], list[st
     if not all(0 <= channel <= 1 for channel in options.background):
         raise InputError(f"--background {options.background}: expected three numbers from 0 to 1")
     scene, cameras = read_scene(options, warnings, monitor)
-    cameras = choose_cameras(options, cameras, warnings)
+    cameras = choose_cameras(options, scene, cameras, warnings)
     files = [options.scene, *(camera_files(options.cameras) if options.cameras else [])]
     names = _planned(options, cameras)
     refuse_overlap(options.out, files, written=names)
     refuse_foreign(options.out, names, report=REPORT)
-    with naming(options.cameras or options.scene):
-        warnings += check_views(scene.gaussians, cameras, near=options.near)
     gaussians = jax.device_put(scene.gaussians)
     with replacing(options.out, report=REPORT) as folder:
         if options.cameras is None:

@@ -5,7 +5,7 @@ import dataclasses
 import logging
 import os
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,6 +16,11 @@ from gsc_jax.cli.options import Locate, arg
 from gsc_jax.cli.ownership import UNFINISHED, refuse_blocked, refuse_foreign_file, refuse_overlap
 from gsc_jax.cli.report.wording import share
 from gsc_jax.cli.staging import locked
+from gsc_jax.collection.manifest import Entry, read_manifest
+from gsc_jax.collection.page import MARK, collection_page
+from gsc_jax.collection.record import Row, merge_rows, read_rows
+from gsc_jax.collection.scan import import_ray, scan
+from gsc_jax.collection.settings import ScanSettings
 from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.io.files import atomic
 
@@ -68,25 +73,19 @@ class Scan(Locate):
 
 def run_scan(options: Scan, *, monitor: Monitor) -> tuple[list[str], list[str]]:
     """Scan a collection and write the results; lines to print, and warnings."""
-    from gsc_jax.collection.manifest import read_manifest
-    from gsc_jax.collection.page import MARK, collection_page
-    from gsc_jax.collection.record import merge_rows, read_rows
-    from gsc_jax.collection.scan import import_ray
-
     ray, out = import_ray(), options.out
     entries = read_manifest(options.scene)
-    written = (PAGE, "scenes", "reports")
-    refuse_overlap(out, [options.scene], written=written)
+    refuse_overlap(out, [options.scene], written=(PAGE, "scenes", "reports"))
     refuse_blocked(out, [PAGE, "scenes/any", "reports/any", f"{UNFINISHED}/any"])
     refuse_foreign_file(out / PAGE, MARK)
-    settings = _settings(options, workers=options.workers or 1)
+    settings = _settings(options)
     if options.dry_run:
         text = f"Dry run: {len(entries):,} scenes, configuration {settings.digest()[:16]}."
         return [text], []
     with locked(out / UNFINISHED), _connected(ray, options):
         cores = int(ray.cluster_resources().get("CPU", 1))
         workers = min(options.workers or max(cores // options.cpus, 1), len(entries))
-        settings = _settings(options, workers=workers)
+        settings = dataclasses.replace(settings, workers=workers)
         done = _scanned(ray, entries, settings, monitor)
         merge_rows(out, settings.digest(), {row["id"]: row["key"] for row in done})
         rows = list(read_rows(out, settings.digest()))
@@ -98,16 +97,14 @@ def run_scan(options: Scan, *, monitor: Monitor) -> tuple[list[str], list[str]]:
     return _summary([row for row in rows if row["id"] in ids], done, options, monitor), []
 
 
-def _settings(options: Scan, *, workers: int) -> Any:
-    from gsc_jax.collection.settings import ScanSettings
-
+def _settings(options: Scan) -> ScanSettings:
     command = {field.name: getattr(options, field.name) for field in dataclasses.fields(Locate)}
     command |= {k: v.absolute() for k, v in command.items() if isinstance(v, Path)}
     command["detector"] = tuple(p.absolute() if p.exists() else p for p in options.detector)
     return ScanSettings(
         command={k: v for k, v in command.items() if k not in ("scene", "out", "memory")},
         out=options.out.absolute(),
-        workers=workers,
+        workers=options.workers or 1,
         cache=None if options.no_cache else cache_folder(),
         **{name: getattr(options, name) for name in PER_SCENE},
     )
@@ -120,22 +117,18 @@ def _connected(ray: Any, options: Scan) -> Iterator[None]:
         yield
         return
     cores = (options.workers or 0) * options.cpus or len(os.sched_getaffinity(0))
-    ray.init(
-        address=options.address or "local",
-        num_cpus=None if options.address else cores,
-        include_dashboard=None if options.address else False,
-        log_to_driver=False,
-        logging_level=logging.ERROR,
-    )
+    started = {"address": "local", "num_cpus": cores, "include_dashboard": False}
+    cluster = {"address": options.address} if options.address else started
+    ray.init(**cluster, log_to_driver=False, logging_level=logging.ERROR)
     try:
         yield
     finally:
         ray.shutdown()
 
 
-def _scanned(ray: Any, entries: Sequence[Any], settings: Any, monitor: Monitor) -> list[Any]:
-    from gsc_jax.collection.scan import scan
-
+def _scanned(
+    ray: Any, entries: Sequence[Entry], settings: ScanSettings, monitor: Monitor
+) -> list[Row]:
     logging.getLogger("ray.data").setLevel(logging.ERROR)
     ray.data.DataContext.get_current().enable_progress_bars = False
     blocks = min(len(entries), MAX_BLOCKS)
@@ -149,7 +142,7 @@ def _scanned(ray: Any, entries: Sequence[Any], settings: Any, monitor: Monitor) 
 
 
 def _summary(
-    rows: Sequence[Mapping[str, Any]], done: Sequence[Any], options: Scan, monitor: Monitor
+    rows: Sequence[Row], done: Sequence[Row], options: Scan, monitor: Monitor
 ) -> list[str]:
     """The most suspicious scenes, counts, errors by class, and where the results are."""
     ranked = [row for row in rows if row["scene_probability"] is not None]

@@ -15,6 +15,7 @@ from gsc_jax.io.ply import PlyScene, read_ply
 from gsc_jax.render.interior import moved_indoors
 from gsc_jax.render.orbit import orbit_cameras
 from gsc_jax.render.up import estimated_up, parse_up, up_text
+from gsc_jax.render.visibility import check_views
 from gsc_jax.scene import Camera, Gaussians, InputError
 
 ORBIT_VIEWS, PREVIEW_VIEWS = 24, 12
@@ -87,13 +88,16 @@ def _read_cameras(
 
 
 def choose_cameras(
-    options: SceneOptions, cameras: Sequence[Camera], warnings: list[str]
+    options: SceneOptions, scene: PlyScene, cameras: Sequence[Camera], warnings: list[str]
 ) -> list[Camera]:
-    """The --views of the cameras, evenly spaced; all of them without the option."""
+    """The --views of the cameras, evenly spaced, or all of them; refused if they see no scene."""
     count = options.views or len(cameras)
     if count > len(cameras):
         warnings.append(f"--views {count}: there are only {len(cameras)} usable cameras")
-    return evenly_spaced(cameras, count)
+    chosen = evenly_spaced(cameras, count)
+    with naming(options.cameras or options.scene):
+        warnings += check_views(scene.gaussians, chosen, near=options.near)
+    return chosen
 
 
 def evenly_spaced(cameras: Sequence[Camera], count: int) -> list[Camera]:

@@ -74,9 +74,9 @@ def replacing(
         InputError: if `out` cannot be written to, another run is writing to it, a folder exists
             where a file belongs, or a folder inside it is a link.
     """
-    _refuse_links(out / UNFINISHED)
-    created = [place for place in (out, *out.parents) if not place.exists()]
     work = out / UNFINISHED
+    _refuse_links(work)
+    created = [place for place in (out, *out.parents) if not place.exists()]
     try:
         with locked(work):
             with writing_to(out):

@@ -16,7 +16,7 @@ from gsc_jax.benchmark.tamper import Tampered, tamper
 from gsc_jax.cli.options import Tamper
 from gsc_jax.cli.outputs import save_array, versions, write_json
 from gsc_jax.cli.ownership import refuse_foreign, refuse_overlap
-from gsc_jax.cli.pictures import contact_sheet, overlay
+from gsc_jax.cli.pictures import SHEET_ROWS, contact_sheet, overlay
 from gsc_jax.cli.scene_input import check_numbers, choose_cameras, evenly_spaced, naming, read_scene
 from gsc_jax.cli.staging import replacing
 from gsc_jax.evidence.monitor import Monitor
@@ -25,7 +25,6 @@ from gsc_jax.io.files import memory_limit
 from gsc_jax.io.masks import image_path, write_mask, write_probability
 from gsc_jax.io.ply import load_ply, save_ply
 from gsc_jax.render.projection import NEAR
-from gsc_jax.render.visibility import check_views
 from gsc_jax.scene import Camera, Gaussians, InputError
 from gsc_jax.splat import render
 
@@ -33,8 +32,6 @@ REPORT = "edit.json"
 FILES = ("scene.ply", "cameras.json", "labels.npy", "overview.png", REPORT)
 BY_CAMERA = ("masks", "truth")
 """Folders with a picture per camera."""
-OVERVIEW_ROWS = 4
-"""Rows of overview.png: as many as fit on a screen."""
 
 
 def run_tamper(options: Tamper, *, monitor: Monitor) -> tuple[list[str], list[str]]:
@@ -43,14 +40,12 @@ def run_tamper(options: Tamper, *, monitor: Monitor) -> tuple[list[str], list[st
     check_numbers(options)
     _check(options)
     scene, cameras = read_scene(options, warnings, monitor)
-    cameras = choose_cameras(options, cameras, warnings)
+    cameras = choose_cameras(options, scene, cameras, warnings)
     names = _planned(options, cameras)
     refuse_foreign(options.out, names, report=REPORT)
     donor = _donor(options)
     with replacing(options.out, report=REPORT) as folder:
         monitor.progress("edit", 0, 1)
-        with naming(options.cameras or options.scene):
-            warnings += check_views(scene.gaussians, cameras, near=options.near)
         with naming(options.scene):
             edited = tamper(
                 scene.gaussians,
@@ -164,17 +159,16 @@ def _write_overview(
 ) -> None:
     """Scene before and after, difference and truth, in the views that show most of the edit."""
     best = np.argsort(-edited.visible, kind="stable")
-    count = max(OVERVIEW_ROWS, len(best) // 2)
-    shown = evenly_spaced([cameras[i] for i in best[:count]], OVERVIEW_ROWS)
-    rows = []
+    count = max(SHEET_ROWS, len(best) // 2)
+    shown = evenly_spaced([cameras[i] for i in best[:count]], SHEET_ROWS)
+    rows = {}
     for camera in shown:
         scenes = original, edited.gaussians
         before, after = (np.asarray(render(s, camera, near=near)[0]) for s in scenes)
         truth = truth_mask(edited.gaussians, camera, edited.labels, near=near)
         difference = np.abs(after - before).mean(axis=-1)
-        rows.append([before, after, difference, overlay(after, truth)])
-    names = [camera.name for camera in shown]
-    contact_sheet(path, rows, titles=("before", "after", "difference", "tampered"), labels=names)
+        rows[camera.name] = [before, after, difference, overlay(after, truth)]
+    contact_sheet(path, rows, titles=("before", "after", "difference", "tampered"))
 
 
 def _lines(options: Tamper, edited: Tampered) -> list[str]:

@@ -8,34 +8,28 @@ const box = document.getElementById("box"), body = box.querySelector("tbody");
 const filter = document.getElementById("filter"), shown = document.getElementById("shown");
 let order = [], sorted = PROBABILITY, descending = true;
 
-function cell(row, text) {
-  const place = row.insertCell();
-  place.textContent = place.title = text;
-  return place;
+const fixed = (value, digits) => value?.toFixed(digits) ?? "";
+const whole = value => value?.toLocaleString("en") ?? "";
+
+// The columns of the table; a missing value is null and has no text.
+function texts(entry) {
+  const labelled = entry[SHARE] === null ? "" : fixed(100 * entry[SHARE], 2) + " %";
+  const error = entry[KIND] ? entry[KIND] + ": " + entry[ERROR] : entry[COPY] ? "copy of " + entry[COPY] : "";
+  const numbers = [whole(entry[GAUSSIANS]), whole(entry[BYTES]), fixed(entry[SECONDS], 1)];
+  return [entry[ID], fixed(entry[PROBABILITY], 3), labelled, ...numbers, entry[TRACES] ?? "", error];
+}
+
+function link(entry) {
+  const made = document.createElement("a"), image = document.createElement("img");
+  made.href = "reports/" + entry[REPORT];
+  image.src = made.href.replace(/report\.html$/, "overview.png");
+  image.alt = "";
+  made.append(image, entry[ID]);
+  return made;
 }
 
 function space(rows) {
-  const row = body.insertRow();
-  row.style.height = rows * HEIGHT + "px";
-}
-
-function name(row, entry) {
-  const place = cell(row, entry[ID]);
-  if (!entry[REPORT]) return;
-  const link = document.createElement("a"), image = document.createElement("img");
-  link.href = "reports/" + entry[REPORT];
-  image.src = link.href.replace(/report\.html$/, "overview.png");
-  image.alt = "";
-  link.append(image, entry[ID]);
-  place.replaceChildren(link);
-}
-
-function probability(row, entry) {
-  const value = entry[PROBABILITY], place = cell(row, value === null ? "" : value.toFixed(3));
-  if (value === null) return;
-  const meter = document.createElement("meter");
-  meter.value = value;
-  place.prepend(meter);
+  body.insertRow().style.height = rows * HEIGHT + "px";
 }
 
 function draw() {
@@ -46,13 +40,10 @@ function draw() {
   for (const entry of order.slice(first, last).map(index => all[index])) {
     const row = body.insertRow();
     row.className = "scene";
-    name(row, entry);
-    probability(row, entry);
-    cell(row, entry[SHARE] === null ? "" : (100 * entry[SHARE]).toFixed(2) + " %");
-    for (const column of [GAUSSIANS, BYTES]) cell(row, entry[column] === null ? "" : entry[column].toLocaleString("en"));
-    cell(row, entry[SECONDS] === null ? "" : entry[SECONDS].toFixed(1));
-    cell(row, entry[TRACES]);
-    cell(row, entry[KIND] ? entry[KIND] + ": " + entry[ERROR] : entry[COPY] ? "copy of " + entry[COPY] : "");
+    for (const text of texts(entry)) Object.assign(row.insertCell(), { textContent: text, title: text });
+    if (entry[REPORT]) row.cells[0].replaceChildren(link(entry));
+    const meter = { value: entry[PROBABILITY] };
+    if (meter.value !== null) row.cells[1].prepend(Object.assign(document.createElement("meter"), meter));
   }
   space(order.length - last);
 }

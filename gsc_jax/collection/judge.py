@@ -1,7 +1,6 @@
 """One scene to one row: what `gsc-jax locate` finds in it, without the views unless needed.
 
 Without a 2D detector, the views only show the result, so that they are rendered for a report only.
-This module runs in a process that may be killed at any time; see `worker`.
 """
 
 import contextlib
@@ -19,7 +18,6 @@ from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.forensics.evidence import ForensicEvidence, estimate_from_attributes, forensic_evidence
 from gsc_jax.io.validation import brief
 from gsc_jax.locate import Result, locate
-from gsc_jax.render.visibility import check_views
 from gsc_jax.scene import InputError
 
 
@@ -58,7 +56,7 @@ def _judged(options: Locate, report_above: float | None, monitor: Monitor) -> Ro
         "labelled": labelled,
         "labelled_share": labelled / len(scene.rows),
         "traces": [trace.name for trace in getattr(prior, "traces", ()) if trace.found],
-        "warnings": [*inputs.warnings, *notes],
+        "warnings": list(dict.fromkeys([*inputs.warnings, *notes])),
         "result_sha256": result_digest(scene.expand(found.tamper), scene.expand(found.labels)),
     }
     probability = labelled > 0 if found.verdict is None else found.verdict
@@ -71,25 +69,18 @@ def _judged(options: Locate, report_above: float | None, monitor: Monitor) -> Ro
 
 
 def _found(inputs: Inputs, monitor: Monitor) -> tuple[Finding | Result, Prior | None, list[str]]:
-    """The finding of a scene, its prior, and the warnings that `locate` gives."""
+    """The finding of a scene, its prior, and its warnings."""
     gaussians, estimator = inputs.scene.gaussians, inputs.estimator
     if inputs.detector is not None:
-        result = locate(
-            gaussians,
-            inputs.cameras,
-            inputs.detector,
-            config=estimator,
-            prior=inputs.attributes,
-            monitor=monitor,
-        )
+        settings = {"config": estimator, "prior": inputs.attributes, "monitor": monitor}
+        result = locate(gaussians, inputs.cameras, inputs.detector, **settings)
         return result, result.prior, result.warnings
     with monitor.stage("attributes"):
         prior = forensic_evidence(gaussians)
         finding = estimate_from_attributes(
             prior, threshold=estimator.threshold, min_verdict=estimator.min_verdict
         )
-    notes = check_views(gaussians, inputs.cameras, near=estimator.near)
-    return finding, prior, [*notes, *finding.warnings]
+    return finding, prior, finding.warnings
 
 
 def result_digest(tamper: np.ndarray, labels: np.ndarray) -> str:

@@ -1,7 +1,8 @@
 """The scenes of a collection: a folder, a glob, a text file, or a CSV or Parquet manifest."""
 
 import glob
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from gsc_jax.collection.record import RESERVED
@@ -31,40 +32,34 @@ def read_manifest(source: Path) -> list[Entry]:
     Raises:
         InputError: if there is no scene, two have one id, or a manifest cannot be read.
     """
-    base, suffix = source.parent, source.suffix.lower()
+    suffix = source.suffix.lower()
     if source.is_dir():
-        entries = _files(sorted(source.rglob("*")), source)
+        rows = _files(sorted(source.rglob("*")), source)
     elif not source.exists() and glob.has_magic(str(source)):
         pattern = str(source.relative_to(source.anchor))
-        entries = _files(sorted(Path(source.anchor).glob(pattern)))
+        rows = _files(sorted(Path(source.anchor).glob(pattern)))
     elif suffix in MANIFESTS:
-        entries = [_entry(row, base, source) for row in _rows(source)]
+        rows = _rows(source)
     elif suffix in LISTS:
-        lines = existing_file(source, expected="a list").read_text("utf-8", "surrogateescape")
-        entries = [_entry({"path": line.strip()}, base, source) for line in lines.splitlines()]
+        text = existing_file(source, expected="a list").read_text("utf-8", "surrogateescape")
+        rows = [{"path": line.strip()} for line in text.splitlines() if line.strip()]
     else:
         existing_file(source, expected="a folder, a glob, a list (.txt), a .csv or a .parquet")
-        entries = _files([source])
-    entries = [entry for entry in entries if entry["path"]]
+        rows = _files([source])
+    entries = [_entry(row, source) for row in rows]
     _check(source, entries)
     return entries
 
 
 def _files(paths: Sequence[Path], root: Path | None = None) -> list[Entry]:
-    scenes = [path for path in paths if path.suffix.lower() in (".ply", *SUFFIXES)]
+    scenes = [p for p in paths if p.suffix.lower() in (".ply", *SUFFIXES) and p.is_file()]
     return [
-        {
-            "id": str(path.relative_to(root) if root else path),
-            "path": str(path.absolute()),
-            "cameras": None,
-            "masks": None,
-        }
+        {"id": str(path.relative_to(root) if root else path), "path": str(path.absolute())}
         for path in scenes
-        if path.is_file()
     ]
 
 
-def _rows(source: Path) -> list[dict[str, str | None]]:
+def _rows(source: Path) -> list[Entry]:
     from pyarrow import csv, parquet
 
     existing_file(source, expected="a manifest")
@@ -86,23 +81,20 @@ def _rows(source: Path) -> list[dict[str, str | None]]:
     return [{k: None if v in (None, "") else str(v) for k, v in row.items()} for row in rows]
 
 
-def _entry(row: Entry, base: Path, source: Path) -> Entry:
+def _entry(row: Mapping[str, str | None], source: Path) -> Entry:
     """An entry with absolute paths, and the path as written as its id where none is given."""
-    if not row.get("path") and len(row) > 1:
+    if not row["path"]:
         raise InputError(f"{source}: a row has no path; complete or remove it")
-    places = {name: _absolute(row.get(name), base) for name in ("path", "cameras", "masks")}
+    places = {name: row.get(name) for name in ("path", "cameras", "masks")}
+    for name, place in places.items():
+        if place and "://" not in place:
+            places[name] = str((source.parent / place).absolute())
     return {**row, **places, "id": row.get("id") or row["path"]}
-
-
-def _absolute(place: str | None, base: Path) -> str | None:
-    return place if not place or "://" in place else str((base / place).absolute())
 
 
 def _check(source: Path, entries: Sequence[Entry]) -> None:
     if not entries:
         raise InputError(f"{source}: holds no scene, expected .ply or compressed scenes")
-    seen: set[str | None] = set()
-    for entry in entries:
-        if entry["id"] in seen:
-            raise InputError(f"{source}: two scenes have the id {entry['id']!r}; give each its own")
-        seen.add(entry["id"])
+    for name, count in Counter(entry["id"] for entry in entries).items():
+        if count > 1:
+            raise InputError(f"{source}: two scenes have the id {name!r}; give each its own")

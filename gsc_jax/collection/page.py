@@ -8,8 +8,9 @@ from gsc_jax.collection.record import Row
 from gsc_jax.estimators.protocol import EVIDENCE_FROM
 
 MARK = "<!-- gsc_jax collection -->"
-SHOWN = ("id", "scene_probability", "labelled_share", "gaussians", "bytes", "seconds")
-"""Columns of the page, in its order; then traces, error class, error, report and duplicate of."""
+SHOWN = ("id", "scene_probability", "labelled_share", "gaussians", "bytes", "seconds", "traces")
+SHOWN += ("error_class", "error", "report", "duplicate_of")
+"""Columns of the page, in its order."""
 
 
 def collection_page(rows: Sequence[Row]) -> str:
@@ -18,17 +19,6 @@ def collection_page(rows: Sequence[Row]) -> str:
     The data are compact JSON, and the script makes elements for the visible rows only. Names and
     errors are foreign text, which becomes text of elements and never markup.
     """
-    data = [
-        [
-            *(_rounded(row[name]) for name in SHOWN),
-            " ".join(row["traces"] or ()),
-            row["error_class"] or "",
-            row["error"] or "",
-            row["report"] or "",
-            row["duplicate_of"] or "",
-        ]
-        for row in rows
-    ]
     known = [row["scene_probability"] for row in rows]
     probabilities = [value for value in known if value is not None]
     bins = Counter(min(int(10 * probability), 9) for probability in probabilities)
@@ -41,9 +31,11 @@ def collection_page(rows: Sequence[Row]) -> str:
         bins=[bins[index] for index in range(10)],
         errors=Counter(row["error_class"] for row in rows if row["error_class"]).most_common(),
         traces=Counter(name for row in rows for name in row["traces"] or ()).most_common(),
-        data=data,
+        data=[[_shown(row[name]) for name in SHOWN] for row in rows],
     )
 
 
-def _rounded(value: object) -> object:
+def _shown(value: object) -> object:
+    if isinstance(value, list):
+        return " ".join(value)
     return float(f"{value:.4g}") if isinstance(value, float) else value

@@ -42,11 +42,7 @@ def scan(dataset: "Dataset", *, settings: ScanSettings | None = None) -> "Datase
     ledger = ray.remote(Ledger).options(num_cpus=0, scheduling_strategy=here).remote(finished)
     return dataset.map(
         cast(Any, SceneWorker),  # Ray makes an instance in every actor
-        fn_constructor_kwargs={
-            "settings": settings,
-            "configuration": configuration,
-            "ledger": ledger,
-        },
+        fn_constructor_args=(settings, configuration, ledger),
         compute=ray.data.ActorPoolStrategy(
             size=settings.workers,
             max_tasks_in_flight_per_actor=AHEAD,

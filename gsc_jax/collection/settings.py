@@ -6,10 +6,10 @@ import importlib.metadata
 import json
 import math
 from collections.abc import Mapping
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+from gsc_jax import forensics
 from gsc_jax.cli.outputs import PACKAGES, jsonable
 from gsc_jax.io.files import GIB, content_digest, memory_limit
 from gsc_jax.scene import InputError
@@ -65,12 +65,10 @@ class ScanSettings:
         """Digest of all that determines the result of a scene, besides its content."""
         options = {k: v for k, v in self.command.items() if k not in WITHOUT_EFFECT}
         used = [*options.get("detector", ()), options.get("spec"), self.command.get("config")]
+        used.append(Path(forensics.__file__).with_name("classifier.npz"))
         facts = {
             "options": jsonable({k: v for k, v in options.items() if v is not None}),
             "files": [content_digest(Path(p)) for p in used if p and Path(p).exists()],
             "versions": {name: importlib.metadata.version(name) for name in PACKAGES},
-            "classifier": hashlib.sha256(
-                files("gsc_jax.forensics").joinpath("classifier.npz").read_bytes()
-            ).hexdigest(),
         }
         return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()

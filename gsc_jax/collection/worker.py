@@ -24,8 +24,6 @@ from gsc_jax.collection.record import Row, complete, write_row
 from gsc_jax.collection.settings import ScanSettings
 from gsc_jax.io.files import GIB, content_digest
 
-UNREAD = ""
-"""Key of a scene that cannot be read."""
 MAX_SCENES = 50
 """Scenes after which another process takes over, so that what libraries keep does not add up."""
 # glibc returns large arrays to the system at once; else its arenas keep 50 MiB of each scene.
@@ -99,40 +97,42 @@ class SceneWorker:
 
     def __call__(self, entry: Row) -> Row:
         """The row of a scene, which is written to the folder of results if there is one."""
-        row = {**entry, "key": UNREAD, "attempts": 1}
-        row |= {"configuration": self._configuration, "status": "judged"}
+        row = {**entry, "key": "", "attempts": 1, "status": "judged"}  # no key: it was not read
+        row |= {"configuration": self._configuration}
         row["version"] = importlib.metadata.version("gsc_jax")
         with tempfile.TemporaryDirectory(prefix="gsc-jax-") as folder:
             try:
-                places = self._within_timeout(_fetched, self._completed(entry), Path(folder))
+                places = self._fetched(entry, Path(folder))
                 row |= _identified(places)
             except Exception as error:  # missing, unreadable, or an address without an answer
                 row |= _failure(error, entry, type(error).__name__)
-                places = {}
-            claim = Claim()
-            if places:
-                claim = self._ray.get(self._ledger.claim.remote(row["key"], row["id"]))
-            if claim.owner is not None:
-                row |= {"status": "finished" if claim.owner == row["id"] else "duplicate"}
-                row["duplicate_of"] = None if claim.owner == row["id"] else claim.owner
-            elif places:
-                row |= self._judged(row, places, claim.attempt)
+            else:
+                row |= self._claimed(row, places)
         row = complete(row)
         if self._settings.out is not None and row["status"] != "finished":
             write_row(self._settings.out, row)
         return row
 
-    def _completed(self, entry: Row) -> Row:
-        """The entry with the cameras and masks that are given for all scenes."""
-        common = self._settings.command
-        return entry | {k: entry.get(k) or common.get(k) for k in ("cameras", "masks")}
-
-    def _within_timeout(self, function: Callable[..., Any], *args: Any) -> Any:
+    def _fetched(self, entry: Row, folder: Path) -> dict[str, Path | None]:
+        """Scene, cameras and masks as local files; what an entry lacks is that of all scenes."""
+        settings, names = self._settings, ("path", "cameras", "masks")
+        given = [entry.get(name) or settings.command.get(name) for name in names]
+        folders = [folder / name for name in names]
         pool = ThreadPoolExecutor(1)
         try:
-            return pool.submit(function, *args).result(self._settings.timeout)
+            places = pool.map(_local, given, folders, timeout=settings.timeout)
+            return dict(zip(names, places, strict=True))
         finally:
             pool.shutdown(wait=False)
+
+    def _claimed(self, row: Row, places: dict[str, Path | None]) -> Row:
+        """Judge a scene, unless it or a copy was or is being judged."""
+        claim = self._ray.get(self._ledger.claim.remote(row["key"], row["id"]))
+        if claim.owner is None:
+            return self._judged(row, places, claim.attempt)
+        if claim.owner == row["id"]:
+            return {"status": "finished"}
+        return {"status": "duplicate", "duplicate_of": claim.owner}
 
     def _judged(self, row: Row, places: dict[str, Path | None], first: int) -> Row:
         """Judge a scene as often as allowed, and name it in errors as the manifest does."""
@@ -201,12 +201,8 @@ def _cores(slot: int, count: int) -> list[int]:
     return [known[(slot * count + index) % len(known)] for index in range(min(count, len(known)))]
 
 
-def _fetched(entry: Row, folder: Path) -> dict[str, Path | None]:
-    """The scene, cameras and masks of an entry as local files; an address is downloaded."""
-    return {name: _local(entry.get(name), folder / name) for name in ("path", "cameras", "masks")}
-
-
 def _local(place: str | Path | None, folder: Path) -> Path | None:
+    """A path as it is; an address is downloaded into a folder."""
     if not isinstance(place, str) or "://" not in place:
         return Path(place) if place else None
     import fsspec

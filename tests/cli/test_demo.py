@@ -14,6 +14,7 @@ from gsc_jax.benchmark.scenes import tampered_room
 from gsc_jax.cli import demo
 from gsc_jax.cli.options import Demo
 from gsc_jax.estimators import Method
+from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.io.cameras import load_cameras
 from gsc_jax.io.masks import image_path, read_probability
 from gsc_jax.io.ply import read_ply
@@ -26,7 +27,7 @@ COUNT, VIEWS, HELDOUT = 6_000, 6, 2
 def finished(tmp_path_factory):
     out = tmp_path_factory.mktemp("demo")
     made = tampered_room(seed=1, count=COUNT, views=VIEWS, heldout=HELDOUT, width=96, height=72)
-    return out, demo.run_demo(Demo(out=out, seed=1), made=made)[0]
+    return out, demo.run_demo(Demo(out=out, seed=1), monitor=Monitor(), made=made)[0]
 
 
 def test_the_input_files_hold_the_scene(finished):
@@ -109,5 +110,5 @@ def test_input_of_another_origin_is_kept(tmp_path):
     (tmp_path / "input").mkdir()
     (tmp_path / "input" / "scene.ply").write_bytes(b"mine")
     with pytest.raises(InputError, match="is not from `demo`"):
-        demo.run_demo(Demo(out=tmp_path))
+        demo.run_demo(Demo(out=tmp_path), monitor=Monitor())
     assert (tmp_path / "input" / "scene.ply").read_bytes() == b"mine"

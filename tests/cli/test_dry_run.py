@@ -1,7 +1,9 @@
 """`gsc-jax locate --dry-run`: validates and describes a run, and writes nothing."""
 
+import json
+
 import pytest
-from cli_case import COUNT, FIXTURES, contents, given, network, refused, run
+from cli_case import COUNT, FIXTURES, contents, given, network, refused, report, run
 
 case, found, own_cache = FIXTURES
 pytestmark = pytest.mark.usefixtures("own_cache")
@@ -23,6 +25,17 @@ def test_it_describes_the_run_and_writes_nothing(case, tmp_path):
     ):
         assert expected in answer.out
     assert "left out 2 of 300" in answer.err
+
+
+def test_it_warns_of_what_a_run_warns_of_once(case, tmp_path):
+    cameras = json.loads((case / "cameras.json").read_text())
+    cameras[2]["position"] = [1000.0, 1000.0, 1000.0]
+    (tmp_path / "cameras.json").write_text(json.dumps(cameras))
+    argv = *given(case, cameras=tmp_path / "cameras.json"), "--out", tmp_path / "out"
+    assert run(*argv, "--dry-run").err.count("1 of 3 cameras see nothing") == 1
+    assert run(*argv).code == 0
+    warnings = report(tmp_path / "out")["warnings"]
+    assert sum("1 of 3 cameras see nothing" in warning for warning in warnings) == 1
 
 
 def test_existing_results_stay(case, found):

@@ -13,6 +13,7 @@ from strategies import random_scene, with_row
 from gsc_jax.cli.locate import run_locate
 from gsc_jax.cli.options import Locate
 from gsc_jax.cli.results import read_results
+from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.io.cameras import save_cameras
 from gsc_jax.io.masks import image_path, write_mask
 from gsc_jax.io.ply import save_ply
@@ -57,7 +58,7 @@ def found(tmp_path_factory):
         scale=0.5,
         no_cache=True,
     )
-    return run_locate(options), read_results(folder / "found")
+    return run_locate(options, monitor=Monitor()), read_results(folder / "found")
 
 
 class TestResultsOfLocate:

@@ -5,11 +5,9 @@ chart is an SVG of matplotlib in the colours of a light and of a dark scheme, of
 selects one. Colours C0 (tampered) and C1 (authentic) repeat those of report.css.
 """
 
-import dataclasses
 import io
 from base64 import b64encode
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -32,58 +30,33 @@ STYLE: dict[Any, Any] = {
 }
 
 
-@dataclasses.dataclass(frozen=True)
-class Chart:
-    """A chart: heading, sentences, and its image for each scheme as a data URI."""
+SCORE_BINS = 50
+"""Bins of width 0.02, so that the thresholds of all methods (0.1 and 0.5) lie between two bins."""
 
-    title: str
+
+class Chart(NamedTuple):
+    """A chart: sentences about it, and its image for each scheme as a data URI."""
+
     text: str
     light: str
     dark: str
 
 
-def chart(
-    plot: "Callable[[Axes], object]", *, title: str, text: str, size: tuple[float, float]
-) -> Chart:
-    """Draw a chart in both colour schemes; `size` is in inches, with text of 9 points."""
+def score_histogram(result: Result) -> Chart:
+    """Histogram of the scores of visible Gaussians, with the threshold, in both colour schemes."""
     import matplotlib
     from matplotlib.figure import Figure
 
-    file = io.StringIO()
+    threshold, file = result.estimator.threshold, io.StringIO()
+    scores, labels = result.tamper[result.seen], result.labels[result.seen]
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=size, layout="constrained")
-        plot(figure.subplots())
+        figure = Figure(figsize=(4.4, 3.0), layout="constrained")
+        _draw(figure.subplots(), scores, labels, threshold)
         figure.savefig(file, format="svg", transparent=True, metadata={"Date": None})
     light = dark = file.getvalue()
     for one, other in zip(LIGHT, DARK, strict=True):
         dark = dark.replace(one, other)
     uris = ("data:image/svg+xml;base64," + b64encode(x.encode()).decode() for x in (light, dark))
-    return Chart(title, text, *uris)
-
-
-SCORE_BINS = 50
-"""Bins of width 0.02, so that the thresholds of all methods (0.1 and 0.5) lie between two bins."""
-
-
-def score_histogram(result: Result) -> Chart:
-    """Histogram of the scores of visible Gaussians, with the threshold."""
-    threshold = result.estimator.threshold
-    scores, labels = result.tamper[result.seen], result.labels[result.seen]
-    edges = np.linspace(0, 1, SCORE_BINS + 1)
-
-    def plot(axes: "Axes") -> None:
-        tampered, authentic = (np.histogram(scores[x], edges)[0] for x in (labels, ~labels))
-        axes.stairs(tampered, edges, fill=True, color="C0", alpha=0.35, label="labelled")
-        axes.stairs(tampered, edges, color="C0", linewidth=1.2)
-        axes.stairs(authentic, edges, color="C1", linestyle="--", label="others")
-        axes.legend(loc="upper center", frameon=False)
-        axes.axvline(threshold, color="0.5")
-        axes.annotate(
-            "threshold", (threshold, 1.03), xycoords=("data", "axes fraction"), ha="center"
-        )
-        axes.set_yscale("symlog", linthresh=1)
-        axes.set(xlim=(0, 1), ylim=(0, None), xlabel="score", ylabel="Gaussians")
-
     above = int((scores > threshold).sum())
     hidden = int(result.labels.sum() - labels.sum())
     text = (
@@ -92,4 +65,17 @@ def score_histogram(result: Result) -> Chart:
         f"{f', and {hidden:,} that no view shows' if hidden else ''}. Counts are on a logarithmic "
         "scale."
     )
-    return chart(plot, title="Histogram of the scores", text=text, size=(4.4, 3.0))
+    return Chart(text, *uris)
+
+
+def _draw(axes: "Axes", scores: np.ndarray, labels: np.ndarray, threshold: float) -> None:
+    edges = np.linspace(0, 1, SCORE_BINS + 1)
+    tampered, authentic = (np.histogram(scores[x], edges)[0] for x in (labels, ~labels))
+    axes.stairs(tampered, edges, fill=True, color="C0", alpha=0.35, label="labelled")
+    axes.stairs(tampered, edges, color="C0", linewidth=1.2)
+    axes.stairs(authentic, edges, color="C1", linestyle="--", label="others")
+    axes.legend(loc="upper center", frameon=False)
+    axes.axvline(threshold, color="0.5")
+    axes.annotate("threshold", (threshold, 1.03), xycoords=("data", "axes fraction"), ha="center")
+    axes.set_yscale("symlog", linthresh=1)
+    axes.set(xlim=(0, 1), ylim=(0, None), xlabel="score", ylabel="Gaussians")

@@ -32,11 +32,10 @@ COUNTS = {
 
 
 def report_page(
-    folder: Path, report: Mapping[str, Any], located: Located, *, monitor: Monitor | None = None
+    folder: Path, report: Mapping[str, Any], located: Located, *, monitor: Monitor
 ) -> str:
     """Render the page of a run, whose images are in `folder`, with the content of result.json."""
     result, counts, views = located.result, report["counts"], report["per_view"]
-    monitor = monitor or Monitor()
     images: list[list[Thumbnail]] = []
     monitor.progress("report", 0, len(views))
     for view in thumbnails(folder, [view["name"] for view in views]):
@@ -51,14 +50,8 @@ def report_page(
         wording=wording,
         headline=wording.headline(report["verdict"], counts["tampered"]),
         candidates=wording.are_candidates(report["verdict"]),
-        conflict=wording.disagreement(report["verdict"], result.prior and result.prior.verdict),
-        lead=wording.labels_sentence(
-            counts["tampered"],
-            counts["gaussians"],
-            verdict=report["verdict"],
-            views=report["views"],
-            covered=report["tampered_share_of_views"],
-        ),
+        conflict=wording.conflict(result),
+        lead=wording.lead(located),
         traces=sorted(getattr(result.prior, "traces", ()), key=lambda trace: not trace.found),
         views=sorted(
             zip(range(len(views)), views, images, strict=True),
@@ -127,8 +120,7 @@ def complete_page(package: str, name: str, **values: Any) -> str:
     environment = jinja2.Environment(
         autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
     )
-    filters = {"share": wording.share, "percent": wording.percent, "trusted": Markup}
-    environment.filters |= filters
+    environment.filters |= {"share": wording.share, "percent": wording.percent, "trusted": Markup}
     digest = hashlib.sha256(read("js").encode()).digest()
     return environment.from_string(read("html")).render(
         style=read("css"),

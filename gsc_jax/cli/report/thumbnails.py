@@ -1,7 +1,4 @@
-"""Thumbnails inside the page, with links to the full images beside it.
-
-Thumbnails get smaller with the number of views, so that the page stays small enough for an e-mail.
-"""
+"""Thumbnails inside the page, small enough for an e-mail, with links to the full images."""
 
 import base64
 import io

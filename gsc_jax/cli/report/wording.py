@@ -1,7 +1,4 @@
-"""A finished run of `locate`, and sentences about results.
-
-The command line, the report and the viewer share them.
-"""
+"""A finished run of `locate`, and sentences about results for terminal, report and viewer."""
 
 import dataclasses
 from collections import Counter
@@ -21,8 +18,7 @@ class Located:
 
     Attributes:
         cameras: The views that have a mask in the result.
-        stages: Seconds and peak memory in MiB of each stage, reading and writing included.
-        seconds: Wall time, reading and writing included.
+        result: The result; its times and warnings include those of reading and writing.
         visible_share: Tampered share of a view, averaged over the views.
         inputs: Size and SHA-256 of each input file or folder, by path.
     """
@@ -30,9 +26,6 @@ class Located:
     scene: PlyScene
     cameras: list[Camera]
     result: Result
-    stages: dict[str, dict[str, float]]
-    seconds: float
-    warnings: list[str]
     visible_share: float
     inputs: dict[str, dict[str, Any]] = dataclasses.field(default_factory=dict)
 
@@ -102,9 +95,10 @@ def meaning(verdict: float, *, masks: bool) -> str:
     )
 
 
-def disagreement(verdict: float | None, prior: float | None) -> str | None:
+def conflict(result: Result) -> str | None:
     """A sentence where the masks say that the scene was edited, and its attributes do not."""
-    if prior is None or outcome(verdict) != "evidence" or outcome(prior) != "none":
+    prior = result.prior.verdict if result.prior and result.probabilities else None
+    if prior is None or outcome(prior) != "none" or outcome(result.verdict) != "evidence":
         return None
     return (
         f"The masks show an edit, the attributes of the Gaussians alone do not "
@@ -153,15 +147,19 @@ def views_sentence(result: Result) -> str | None:
 def summary(located: Located, out: Path) -> list[str]:
     """Summarise a run, whose results are in the folder `out`, in a few lines for the terminal."""
     result = located.result
-    seconds = {name: stage["seconds"] for name, stage in located.stages.items()}
+    seconds = {name: stage["seconds"] for name, stage in result.stages.items()}
     slowest = sorted(seconds, key=seconds.__getitem__, reverse=True)[:3]
     times = ", ".join(f"{name} {seconds[name]:.1f} s" for name in slowest)
+    counts = Counter(result.reliability.values())
+    kinds = [f"{counts[key]} {name}" for key, (_, name, _) in RELIABILITY.items() if counts[key]]
+    views = views_sentence(result)
     return [
         *_verdict_lines(located),
-        *_view_lines(result),
+        *([f"masks    {', '.join(kinds)}"] if kinds else []),
+        *([f"views    {views}"] if views else []),
         *(f"trace    {trace.explanation}" for trace in found_traces(result)),
         f"method   {result.method}",
-        f"time     {located.seconds:.1f} s (most work: {times})",
+        f"time     {result.seconds:.1f} s (most work: {times})",
         f"report   {out / 'report.html'}",
         f"images   {out / 'overview.png'}, {out / 'overlay'}",
         f"scene    {out / 'tamper.ply'}; for any viewer: {out / 'highlight.ply'}",
@@ -169,30 +167,25 @@ def summary(located: Located, out: Path) -> list[str]:
     ]
 
 
-def _verdict_lines(located: Located) -> list[str]:
+def lead(located: Located) -> str:
+    """What `labels_sentence` states about a run."""
     result = located.result
-    tampered, verdict = int(result.labels.sum()), result.verdict
-    labels = labels_sentence(
-        tampered,
+    return labels_sentence(
+        int(result.labels.sum()),
         len(result.labels),
-        verdict=verdict,
+        verdict=result.verdict,
         views=len(result.masks),
         covered=located.visible_share,
     )
+
+
+def _verdict_lines(located: Located) -> list[str]:
+    result, verdict, labels = located.result, located.result.verdict, lead(located)
     if verdict is None:
         return [labels]
-    conflict = disagreement(verdict, result.prior.verdict if result.prior else None)
-    judged = bool(result.probabilities)
+    contradiction, masks = conflict(result), bool(result.probabilities)
     return [
-        *([conflict] if conflict and judged else []),
-        f"{headline(verdict, tampered)} {labels}",
-        f"edited   {percent(verdict)} (scene probability). {meaning(verdict, masks=judged)}",
+        *([contradiction] if contradiction else []),
+        f"{headline(verdict, int(result.labels.sum()))} {labels}",
+        f"edited   {percent(verdict)} (scene probability). {meaning(verdict, masks=masks)}",
     ]
-
-
-def _view_lines(result: Result) -> list[str]:
-    counts = Counter(result.reliability.values())
-    kinds = [f"{counts[key]} {name}" for key, (_, name, _) in RELIABILITY.items() if counts[key]]
-    lines = [f"masks    {', '.join(kinds)}"] if kinds else []
-    views = views_sentence(result)
-    return [*lines, f"views    {views}"] if views else lines

@@ -9,12 +9,7 @@ from xml.etree import ElementTree
 import numpy as np
 from reports import COUNT, TAMPERED, run
 
-from gsc_jax.cli.report.charts import (
-    DARK,
-    LIGHT,
-    chart,
-    score_histogram,
-)
+from gsc_jax.cli.report.charts import DARK, LIGHT, score_histogram
 
 CSS = Path(__file__).parents[3] / "gsc_jax" / "cli" / "report" / "report.css"
 
@@ -28,12 +23,13 @@ def test_histogram_counts_labels_of_unseen_gaussians_separately(tmp_path: Path):
     assert "0 of them are labelled as tampered" in score_histogram(hidden).text
 
 
-def test_chart_is_drawn_in_the_colours_of_both_schemes_of_the_page():
-    drawn = chart(lambda axes: axes.plot([0, 1]), title="t", text="", size=(2, 2))
+def test_the_histogram_is_drawn_in_the_colours_of_both_schemes_of_the_page(tmp_path: Path):
+    drawn = score_histogram(run(tmp_path, ["a view"]).result)
     css = CSS.read_text()
-    for uri, scheme in ((drawn.light, LIGHT), (drawn.dark, DARK)):
+    for uri, own, other in ((drawn.light, LIGHT, DARK), (drawn.dark, DARK, LIGHT)):
         svg = base64.b64decode(uri.partition(",")[2]).decode()
         assert ElementTree.fromstring(svg).tag.endswith("svg")
-        for colour in scheme:
-            assert (colour in svg) == (colour != scheme[-1]), "one curve, so no last colour"
+        assert not any(colour in svg for colour in other)
+        for colour in own:
+            assert colour in svg
             assert re.search(rf"--\w+: {colour}", css), colour

@@ -183,7 +183,7 @@ def test_every_view_is_rendered_and_marked(tmp_path: Path):
     monitor = Monitor(progress=lambda *step: steps.append(step))
     scene, cameras = located.scene, located.cameras
     renders = {c.name: img_as_ubyte(render(scene.gaussians, c)[0]) for c in cameras}
-    write_results(out, scene, cameras, located.result, renders, monitor=monitor)
+    write_results(out, located, renders, monitor=monitor)
     write_report(out, {"scene": "x"}, located, monitor=monitor)
     assert len([*(out / "render").iterdir()]) == len([*(out / "overlay").iterdir()]) == 5
     assert (out / "overview.png").is_file()

@@ -1,6 +1,8 @@
 """Sentences about results."""
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import hypothesis.strategies as st
 import pytest
@@ -31,9 +33,17 @@ def test_summary_starts_with_the_outcome(tmp_path: Path):
         assert ("candidates" in first) == (verdict < 0.65)
 
 
-def test_a_conflict_of_masks_and_attributes_is_the_first_sentence():
-    assert "(16%)" in str(wording.disagreement(0.98, 0.16))
-    assert not any(wording.disagreement(*pair) for pair in ((0.98, 0.5), (0.5, 0.1), (0.9, None)))
+def test_a_conflict_of_masks_and_attributes_is_the_first_sentence(tmp_path: Path):
+    def first(verdict: float, prior: float | None, **changes: Any) -> str:
+        given = None if prior is None else SimpleNamespace(verdict=prior, traces=())
+        located = run(tmp_path, NAMES[:1], verdict=verdict, prior=given, **changes)
+        return wording.summary(located, Path("out"))[0]
+
+    assert first(0.98, 0.16).startswith("The masks show an edit")
+    assert "(16%)" in first(0.98, 0.16)
+    for pair in ((0.98, 0.5), (0.5, 0.1), (0.9, None)):
+        assert "masks show" not in first(*pair)
+    assert "masks show" not in first(0.98, 0.16, probabilities={})
 
 
 def test_the_rates_of_the_outcomes_are_those_of_the_tables():

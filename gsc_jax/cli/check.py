@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 INRIA = (*POSITION, *NORMAL, *DC, *REST, "opacity", *SCALE, *ROTATION)
 INVISIBLE = 1 / 255
 """Opacity below which rasterisers skip a Gaussian."""
+HASH_FACTOR = np.uint64(0x9E3779B97F4A7C15)
+"""Odd, so that a hash of several columns keeps all bits."""
 FAR, FLAT, NEEDLE, UNIT_TOLERANCE = 100, 1e-7, 1e4, 1e-3
 """Extremes: distance and least size in spreads of the scene, ratio of axes, |length - 1|."""
 
@@ -154,8 +156,9 @@ def _extremes(
         length = np.linalg.norm(np.asarray(gaussians.quats, np.float64), axis=1)
         ratio = scales[:, 2] / np.maximum(scales[:, 1], 1e-30)
     rgb = 0.5 + Y0 * np.asarray(gaussians.sh)[:, 0]
-    columns = [np.asarray(x).reshape(len(means), -1) for x in vars(gaussians).values()]
-    hashes = row_hashes(np.concatenate(columns, axis=1))
+    hashes = np.zeros(len(means), np.uint64)
+    for values in vars(gaussians).values():
+        hashes = HASH_FACTOR * hashes + row_hashes(np.asarray(values).reshape(len(means), -1))
     copies = np.ones(len(means), bool)
     copies[np.unique(hashes, return_index=True)[1]] = False
     far = np.linalg.norm(means - middle, axis=1) > FAR * spread

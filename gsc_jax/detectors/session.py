@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gsc_jax.io.files import existing_file
+from gsc_jax.io.files import content_digest, existing_file
 from gsc_jax.io.validation import brief
 from gsc_jax.scene import InputError
 
@@ -102,12 +102,9 @@ def fingerprint(path: Path, *facts: object) -> str:
     """
     import onnxruntime
 
-    facts = (onnxruntime.__version__, *facts)
-    digest = hashlib.blake2b(repr(facts).encode(), digest_size=16)
-    for part in (*sorted(Path(__file__).parent.glob("*.py")), path, *external_files(path)):
-        with part.open("rb") as file:
-            digest.update(hashlib.file_digest(file, hashlib.blake2b).digest())
-    return digest.hexdigest()
+    parts = (*sorted(Path(__file__).parent.glob("*.py")), path, *external_files(path))
+    facts = (onnxruntime.__version__, *facts, *map(content_digest, parts))
+    return hashlib.blake2b(repr(facts).encode(), digest_size=16).hexdigest()
 
 
 def external_files(path: Path) -> list[Path]:

@@ -14,18 +14,8 @@ from gsc_jax.evidence.observation import Observation
 from gsc_jax.scene import Camera, Gaussians
 from gsc_jax.scene.parallel import bounded_map, view_threads
 
-__all__ = [
-    "METHODS",
-    "Estimator",
-    "Finding",
-    "GSChecker",
-    "Method",
-    "Prior",
-    "RobustEstimator",
-    "configured",
-    "estimate",
-    "sweep",
-]
+__all__ = ["METHODS", "Estimator", "Finding", "GSChecker", "Method", "Prior", "RobustEstimator"]
+__all__ += ["configured", "estimate", "sweep"]
 
 Method = Literal["robust", "official", "paper"]
 METHODS: Mapping[str, Estimator] = {

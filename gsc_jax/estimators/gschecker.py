@@ -13,7 +13,6 @@ import numpy as np
 
 from gsc_jax.estimators.protocol import (
     DISAGREEMENT,
-    MAX_SEED,
     Estimator,
     Finding,
     Prior,
@@ -27,7 +26,6 @@ from gsc_jax.losses import official_attributes, paper_attributes, standardised_a
 from gsc_jax.render.projection import NEAR
 from gsc_jax.render.tiles import View, make_view
 from gsc_jax.scene import Array
-from gsc_jax.scene.errors import BELOW_1
 from gsc_jax.vote import official_consensus, paper_consensus
 
 CONSENSUS = {"paper": paper_consensus, "official": official_consensus}
@@ -36,15 +34,6 @@ ATTRIBUTES = {
     "official": official_attributes,
     "standardised": standardised_attributes,
 }
-
-
-RANGES = {
-    "epochs": (1, 1000),
-    "seed": (0, MAX_SEED),
-    "threshold": (0.0, BELOW_1),
-    "near": (1e-9, 1e9),
-}
-"""Smallest and largest valid value of the numeric fields; integers where the field is one."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -82,7 +71,7 @@ class GSChecker(Estimator):
 
     def __post_init__(self) -> None:
         """Check the fields."""
-        check_fields(self, RANGES)
+        check_fields(self, {"epochs": (1, 1000)})
 
     def for_views(self, views: int) -> "GSChecker":
         """Fill in the iteration at which the 3D loss joins."""

@@ -11,7 +11,7 @@ import numpy as np
 from gsc_jax.evidence.lifting import EvidenceOfViews
 from gsc_jax.evidence.masks import MaskRule
 from gsc_jax.evidence.observation import Observation
-from gsc_jax.scene.errors import check_ranges
+from gsc_jax.scene.errors import BELOW_1, check_ranges
 
 Reliability = Literal["reliable", "uninformative", "inverted", "unseen"]
 """Reliability of a mask: it flags most of the labelled Gaussians in the view, it does not, it flags
@@ -22,8 +22,12 @@ EVIDENCE_FROM, NONE_BELOW = 0.65, 0.35
 """Scene probabilities from which there is evidence, about 2 to 1 odds, and below which none."""
 DISAGREEMENT = "Pixels were flagged, but the views agree on no tampered Gaussian."
 """Warning of an estimator that labels nothing although masks are not empty."""
-MAX_SEED = 2**32 - 1
-"""Largest seed that both NumPy and JAX accept."""
+RANGES: Mapping[str, tuple[float, float]] = {
+    "seed": (0, 2**32 - 1),  # the largest that both NumPy and JAX accept
+    "near": (1e-9, 1e9),
+    **dict.fromkeys(("threshold", "tolerance", "min_verdict"), (0.0, BELOW_1)),
+}
+"""Smallest and largest value of the fields that every estimator has; whole numbers for integers."""
 NONE_FLAGGED = "All masks are empty."
 ALL_FLAGGED = "The masks cover everything in every view."
 
@@ -157,12 +161,15 @@ class Estimator(abc.ABC):
 
 
 def check_fields(estimator: Estimator, ranges: Mapping[str, tuple[float, float]]) -> None:
-    """Raise ValueError for an unknown value of a `Literal`, and for numbers out of their ranges."""
+    """Raise ValueError for an unknown value of a `Literal`, and for a number out of its range.
+
+    The ranges are those of further fields, beside `RANGES`.
+    """
     for name, hint in typing.get_type_hints(type(estimator)).items():
         known, value = typing.get_args(hint), getattr(estimator, name)
         if typing.get_origin(hint) is Literal and value not in known:
             raise ValueError(f"{name} must be one of {', '.join(known)}, got {value!r}")
-    check_ranges(estimator, ranges)
+    check_ranges(estimator, {**RANGES, **ranges})
 
 
 def unanimous(evidence: EvidenceOfViews) -> Finding | None:

@@ -65,9 +65,8 @@ def fit_to_view(probability: Any, camera: Camera) -> np.ndarray:
         )
     if output.shape == size:
         return output
-    shrinks = output.shape[0] > size[0] or output.shape[1] > size[1]
-    resized = resize(output, size, order=1, mode="edge", anti_aliasing=shrinks)
-    return np.asarray(resized, np.float32).clip(0.0, 1.0)
+    # After a low-pass filter if it shrinks.
+    return np.asarray(resize(output, size, order=1, mode="edge"), np.float32).clip(0.0, 1.0)
 
 
 def _as_map(probability: Any, camera: Camera) -> np.ndarray:

@@ -118,7 +118,9 @@ def observe(
         lifted = enumerate(bounded_map(pool, lift, detect()), len(cameras) - len(missing) + 1)
         for done, _ in lifted:
             monitor.progress("views", done, len(cameras))
-    evidence = SparseEvidence(entries=_Stored(store, names), count=len(gaussians))
+    evidence = SparseEvidence(
+        entry=lambda view: store.get(EVIDENCE, names[view]), shape=(len(names), len(gaussians))
+    )
     return Observation(
         gaussians=gaussians,
         cameras=tuple(cameras),
@@ -187,17 +189,3 @@ def half_precision(probability: np.ndarray) -> np.ndarray:
     rounded = probability.astype(np.float16)
     above = np.nextafter(np.float16(0.5), np.float16(1))
     return np.where(probability > 0.5, np.maximum(rounded, above), rounded)
-
-
-@dataclasses.dataclass(frozen=True)
-class _Stored(Sequence[np.ndarray]):
-    """Sparse evidence of views, read when it is asked for."""
-
-    store: ArrayStore
-    names: tuple[str, ...]
-
-    def __getitem__(self, index: int) -> np.ndarray:  # pyright: ignore[reportIncompatibleMethodOverride]
-        return self.store.get(EVIDENCE, self.names[index])
-
-    def __len__(self) -> int:
-        return len(self.names)

@@ -88,7 +88,7 @@ class SafireDetector(NetworkDetector):
         inputs = [EMBEDDINGS, POINT_COORDS, POINT_LABELS]
         self._decoder = Network(self.decoder, inputs, {0: MASKS, 1: CONFIDENCES}, **run)
         given, taken = self._encoder.outputs[0].shape, self._decoder.inputs[0].shape
-        if given and not fits(taken, given):
+        if given and not fits(taken, given, {}):
             raise InputError(
                 f"{self.decoder}: takes embeddings of shape {shape_text(taken)}, the encoder gives "
                 f"{shape_text(given)}; export both from one network"

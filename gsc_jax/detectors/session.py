@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gsc_jax.io.files import content_digest, existing_file
-from gsc_jax.io.validation import brief
+from gsc_jax.io.validation import reported
 from gsc_jax.scene import InputError
 
 if TYPE_CHECKING:
@@ -50,15 +50,11 @@ def open_session(
     options.log_severity_level = 4  # the raised errors contain the messages
     # Otherwise onnxruntime reads a file with the suffix .ort as another format.
     options.add_session_config_entry("session.load_model_format", "ONNX")
-    try:
+    remedy = "; export it again, with external tensors in the same folder"
+    with reported(f"{path}: onnxruntime cannot load it as an ONNX model", remedy):
         session = onnxruntime.InferenceSession(
             path, options, providers=names, enable_fallback=False
         )
-    except Exception as error:  # the errors of onnxruntime have no common base class
-        raise InputError(
-            f"{path}: onnxruntime cannot load it as an ONNX model ({brief(error)}); export "
-            "it again, with external tensors in the same folder"
-        ) from error
     # onnxruntime silently drops a provider without a driver.
     missing = [name for name in names if name not in session.get_providers()]
     if missing:

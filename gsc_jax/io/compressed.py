@@ -18,7 +18,7 @@ import numpy as np
 
 from gsc_jax.io.files import check_allocation
 from gsc_jax.io.tables import BYTES_PER_CHARACTER
-from gsc_jax.io.validation import brief, shown
+from gsc_jax.io.validation import reported, shown
 from gsc_jax.io.web_formats import read_glb, read_splat
 from gsc_jax.scene import Gaussians, InputError
 
@@ -57,7 +57,7 @@ def read_compressed(path: Path, max_bytes: int | None = None) -> Gaussians:
         raise InputError(f"{path}: .ksplat files are not supported; {_conversion(path)}")
     check_allocation(path, BYTES_PER_BYTE * path.stat().st_size, max_bytes)
     gsply = None if kind in READERS else _gsply(path)
-    try:
+    with reported(f"{path}: damaged or unknown", f"; {_conversion(path)}"):
         if gsply is None:
             return READERS[kind](path, max_bytes)
         if kind == ".spz":
@@ -67,11 +67,6 @@ def read_compressed(path: Path, max_bytes: int | None = None) -> Gaussians:
             _check_sog(path, max_bytes)
             return from_gsply(gsply.sogread(path))
         return from_gsply(gsply.decompress_from_bytes(path.read_bytes()))
-    except InputError:
-        raise
-    except Exception as error:  # a decoder may raise anything on damaged bytes
-        text = f"{path}: damaged or unknown ({brief(error)}); {_conversion(path)}"
-        raise InputError(text) from error
 
 
 def _gsply(path: Path) -> Any:

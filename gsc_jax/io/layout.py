@@ -59,22 +59,11 @@ def encode(gaussians: Gaussians) -> "PlyData":
     from plyfile import PlyData, PlyElement
 
     host = jax.tree.map(np.asarray, gaussians)
-    rests = 3 * host.sh.shape[1] - 3
-    names = [*POSITION, *NORMAL, *DC, *REST[:rests]]
-    names += ["opacity", *SCALE, *ROTATION]
-    table = np.zeros((len(host), len(names)), "<f4")  # filled in place: a scene may fill the memory
-    parts = {
-        "x": host.means,
-        "f_dc_0": host.sh[:, 0],
-        "opacity": host.logit_opacities[:, None],
-        "scale_0": host.log_scales,
-        "rot_0": host.quats,
-    }
-    for first, values in parts.items():
-        table[:, names.index(first) :][:, : values.shape[1]] = values
-    for channel in range(3):
-        first = names.index("opacity") - rests + channel * rests // 3
-        table[:, first : first + rests // 3] = host.sh[:, 1:, channel]
+    normals, first, rest = np.zeros_like(host.means), host.sh[:, 0], host.sh[:, 1:]
+    columns = [host.means, normals, first, *np.moveaxis(rest, 2, 0)]
+    columns += [host.logit_opacities[:, None], host.log_scales, host.quats]
+    table = np.ascontiguousarray(np.concatenate(columns, axis=1, dtype="<f4"))
+    names = [*POSITION, *NORMAL, *DC, *REST[: 3 * rest.shape[1]], "opacity", *SCALE, *ROTATION]
     data = table.view([(name, "<f4") for name in names]).reshape(len(table))
     return PlyData([PlyElement.describe(data, "vertex")], byte_order="<")
 

@@ -10,14 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from gsc_jax.io.files import check_allocation, existing_file
-from gsc_jax.io.validation import brief
-from gsc_jax.scene import InputError
+from gsc_jax.io.validation import reported
 
 BYTES_PER_CHARACTER = 40
 """Memory of a parsed tree per byte of text: an empty dictionary has 64 bytes for "{},"."""
 MAX_DEPTH = 100
 """No file that this package reads is deeper than 8."""
-PARSERS = {".json": json.loads, ".toml": tomllib.loads}
+PARSERS = {"JSON": json.loads, "TOML": tomllib.loads}
 
 
 def read_table(path: Path, *, remedy: str, max_bytes: int | None = None) -> Any:
@@ -26,17 +25,12 @@ def read_table(path: Path, *, remedy: str, max_bytes: int | None = None) -> Any:
     A file that cannot be read, is not valid or takes more than `max_bytes` of memory raises
     InputError, whose message ends with the `remedy`.
     """
-    suffix = ".toml" if path.suffix.lower() == ".toml" else ".json"
-    existing_file(path, expected=suffix[1:].upper())
-    try:
+    kind = "TOML" if path.suffix.lower() == ".toml" else "JSON"
+    existing_file(path, expected=kind)
+    with reported(f"{path}: not valid {kind}", f"; {remedy}"):
         check_allocation(path, BYTES_PER_CHARACTER * path.stat().st_size, max_bytes)
-        content = PARSERS[suffix](path.read_text(encoding="utf-8-sig"))
+        content = PARSERS[kind](path.read_text(encoding="utf-8-sig"))
         _check_tree(content, MAX_DEPTH)
-    except InputError:
-        raise
-    except (OSError, ValueError, RecursionError, MemoryError) as error:
-        kind = suffix[1:].upper()
-        raise InputError(f"{path}: not valid {kind} ({brief(error)}); {remedy}") from error
     return content
 
 

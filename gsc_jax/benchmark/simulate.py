@@ -62,11 +62,7 @@ REGIMES: Mapping[str, Failures] = {
 
 
 def simulate(
-    truth: np.ndarray,
-    decoy: np.ndarray | None = None,
-    *,
-    seed: int,
-    failures: Failures,
+    truth: np.ndarray, decoy: np.ndarray | None = None, *, seed: int, failures: Failures
 ) -> np.ndarray:
     """Probability maps (V, H, W) of a detector with these failures, float32.
 

@@ -26,6 +26,7 @@ RANGES: Mapping[str, tuple[float, float]] = {
     "seed": (0, 2**32 - 1),  # the largest that both NumPy and JAX accept
     "near": (1e-9, 1e9),
     **dict.fromkeys(("threshold", "tolerance", "min_verdict"), (0.0, BELOW_1)),
+    "prior_weight": (0.0, 1.0),
 }
 """Smallest and largest value of the fields that every estimator has; whole numbers for integers."""
 NONE_FLAGGED = "All masks are empty."
@@ -129,6 +130,7 @@ class Estimator(abc.ABC):
         tolerance: With a network as detector, views are added until they change less than this
             share of the labelled weight; 0 uses all views.
         min_verdict: Scene probability below which nothing is labelled.
+        prior_weight: Weight of the prior, in [0, 1]; 0 ignores it.
     """
 
     __dataclass_fields__: ClassVar[dict[str, Any]]
@@ -139,11 +141,12 @@ class Estimator(abc.ABC):
     seed: int
     tolerance: float = 0.0
     min_verdict: float = 0.0
+    prior_weight: float = 0.0
 
     @property
     def uses_prior(self) -> bool:
         """Whether a prior changes the finding."""
-        return False
+        return self.prior_weight > 0
 
     @property
     def stops_early(self) -> bool:

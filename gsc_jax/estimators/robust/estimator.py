@@ -40,7 +40,6 @@ RANGES: dict[str, tuple[float, float]] = {
     **dict.fromkeys(("restarts", "neighbours"), (1, 1000)),
     **dict.fromkeys(("half_weight", "effective_pixels", "class_log_odds"), (1e-9, 1e9)),
     "smoothing": (0.0, 1e9),
-    "prior_weight": (0.0, 1.0),
 }
 """Smallest and largest value of further numeric fields; whole numbers where the field is one."""
 MAX_CLASSES = 100
@@ -106,11 +105,6 @@ class RobustEstimator(Estimator):
             raise ValueError(
                 f"classes must be a tuple of integers from 2 to {MAX_CLASSES}, got {self.classes}"
             )
-
-    @property
-    def uses_prior(self) -> bool:
-        """Whether a prior changes the finding."""
-        return self.prior_weight > 0
 
     def estimate(self, observation: Observation, prior: Prior | None = None) -> Finding:
         """Compute scores, labels, the scene probability and the reliability of every mask.

@@ -179,9 +179,7 @@ class NetworkDetector(ABC):
         """Anomalies in the outputs of the views so far."""
         found = []
         for anomaly, text in self.anomalies.items():
-            counts = {
-                view: all_[anomaly] for view, all_ in self.diagnostics.items() if all_[anomaly]
-            }
+            counts = {view: own[anomaly] for view, own in self.diagnostics.items() if own[anomaly]}
             if counts:
                 found.append(
                     f"{self.model}: {text.format(count=sum(counts.values()))} in {len(counts)} of "

@@ -11,14 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from gsc_jax.estimators.protocol import (
-    DISAGREEMENT,
-    Estimator,
-    Finding,
-    Prior,
-    check_fields,
-    unanimous,
-)
+from gsc_jax.estimators.protocol import DISAGREEMENT, Estimator, Finding, Prior, unanimous
 from gsc_jax.evidence.masks import MaskRule, normalise
 from gsc_jax.evidence.observation import Observation
 from gsc_jax.loop import LoopConfig, fit, fit_rendered, resolved, view_order
@@ -71,7 +64,7 @@ class GSChecker(Estimator):
 
     def __post_init__(self) -> None:
         """Check the fields."""
-        check_fields(self, {"epochs": (1, 1000)})
+        self.check_fields({"epochs": (1, 1000)})
 
     def for_views(self, views: int) -> "GSChecker":
         """Fill in the iteration at which the 3D loss joins."""
@@ -86,9 +79,8 @@ class GSChecker(Estimator):
         r = self.initial_attribute(observation)  # eq. 6, from the votes of eq. 5
         F = ATTRIBUTES[self.attributes](observation.gaussians)  # what eq. 7 compares
         attribute, group_sizes = self._optimise(observation, r, F)  # eq. 7 to 12
-        finding = unanimous(observation.evidence)
-        if finding is None:
-            finding = self._decide(attribute, group_sizes, observation.evidence.seen)
+        evidence = observation.evidence
+        finding = unanimous(evidence) or self._decide(attribute, group_sizes, evidence.seen)
         unused = f"The prior was not used: {self.name} uses masks only."
         return dataclasses.replace(
             finding,

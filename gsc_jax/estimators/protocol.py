@@ -121,16 +121,7 @@ class Finding:
 class Estimator(abc.ABC):
     """Interface of estimators: frozen dataclasses whose fields are their configuration.
 
-    Attributes:
-        name: Name of the method in results.
-        threshold: Score above which a Gaussian is labelled.
-        mask_rule: How labels become the mask of a view.
-        near: Near plane in world units.
-        seed: Seed of everything random.
-        tolerance: With a network as detector, views are added until they change less than this
-            share of the labelled weight; 0 uses all views.
-        min_verdict: Scene probability below which nothing is labelled.
-        prior_weight: Weight of the prior, in [0, 1]; 0 ignores it.
+    `RobustEstimator` documents the fields that all have; those with a value here may be left out.
     """
 
     __dataclass_fields__: ClassVar[dict[str, Any]]
@@ -162,17 +153,16 @@ class Estimator(abc.ABC):
         del views
         return self
 
+    def check_fields(self, ranges: Mapping[str, tuple[float, float]]) -> None:
+        """Raise ValueError for an unknown value of a `Literal`, and for a number out of its range.
 
-def check_fields(estimator: Estimator, ranges: Mapping[str, tuple[float, float]]) -> None:
-    """Raise ValueError for an unknown value of a `Literal`, and for a number out of its range.
-
-    The ranges are those of further fields, beside `RANGES`.
-    """
-    for name, hint in typing.get_type_hints(type(estimator)).items():
-        known, value = typing.get_args(hint), getattr(estimator, name)
-        if typing.get_origin(hint) is Literal and value not in known:
-            raise ValueError(f"{name} must be one of {', '.join(known)}, got {value!r}")
-    check_ranges(estimator, {**RANGES, **ranges})
+        The ranges are those of further fields, beside `RANGES`.
+        """
+        for name, hint in typing.get_type_hints(type(self)).items():
+            known, value = typing.get_args(hint), getattr(self, name)
+            if typing.get_origin(hint) is Literal and value not in known:
+                raise ValueError(f"{name} must be one of {', '.join(known)}, got {value!r}")
+        check_ranges(self, {**RANGES, **ranges})
 
 
 def unanimous(evidence: EvidenceOfViews) -> Finding | None:

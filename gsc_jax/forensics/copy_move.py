@@ -128,9 +128,8 @@ def _nearest(described: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarr
 
 def row_hashes(rows: np.ndarray) -> np.ndarray:
     """Hash of each row (N, D) float32, equal for equal rows, shape (N,) uint64."""
-    keys = np.random.default_rng(0).integers(1, 2**63, rows.shape[1], dtype=np.uint64) | np.uint64(
-        1
-    )
+    rng = np.random.default_rng(0)
+    keys = rng.integers(1, 2**63, rows.shape[1], dtype=np.uint64) | np.uint64(1)
 
     def hashes(part: np.ndarray) -> np.ndarray:
         return (part + np.float32(0)).view(np.uint32).astype(np.uint64) @ keys  # -0 is 0

@@ -170,13 +170,9 @@ def _check_sog_tables(meta: dict[str, Any]) -> None:
 def from_gsply(data: Any) -> Gaussians:
     """Gaussians of a `gsply.GSData`."""
     bands = [data.sh0[:, None]] + ([] if data.shN is None else [data.shN])
-    return Gaussians(
-        means=np.asarray(data.means, np.float32),
-        log_scales=np.asarray(data.scales, np.float32),
-        quats=np.asarray(data.quats, np.float32),
-        logit_opacities=np.asarray(data.opacities, np.float32).reshape(-1),
-        sh=np.concatenate(bands, axis=1, dtype=np.float32),
-    )
+    columns = {"means": data.means, "log_scales": data.scales, "quats": data.quats}
+    columns |= {"logit_opacities": data.opacities.ravel(), "sh": np.concatenate(bands, axis=1)}
+    return Gaussians(**{name: np.asarray(c, np.float32) for name, c in columns.items()})
 
 
 def _conversion(path: Path) -> str:

@@ -140,8 +140,10 @@ def _read_pixels(path: Path, max_bytes: int | None) -> np.ndarray:
     expected = ", expected a grey PNG; it may be cut short or of another format: write it again"
     with reported(f"{path}: cannot be read as an image", expected), open_image(path) as image:
         check_allocation(path, BYTES_PER_PIXEL * image.width * image.height, max_bytes)
-        if _has_second_frame(image):
+        with contextlib.suppress(EOFError):
+            image.seek(1)
             raise InputError(f"{path}: holds several pages or frames, expected one; save one")
+        image.seek(0)
         return _decoded(image)
 
 
@@ -175,15 +177,6 @@ def _decoded(image: "PIL.Image.Image") -> np.ndarray:
     level = np.array(transparent) * TRANSPARENT_LEVEL.get(str(rawmode), 1)
     pixels[np.atleast_3d(pixels == level.astype(int)).all(axis=2)] = 0
     return pixels
-
-
-def _has_second_frame(image: "PIL.Image.Image") -> bool:
-    try:
-        image.seek(1)
-    except EOFError:
-        image.seek(0)
-        return False
-    return True
 
 
 def _grey(pixels: np.ndarray, path: Path) -> np.ndarray:

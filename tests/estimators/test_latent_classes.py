@@ -34,7 +34,7 @@ def test_the_criterion_chooses_the_number_of_classes():
     _, flagged, clear = drawn()
     fit = fit_classes(flagged, clear, counts=(2, 3, 6), restarts=3)
     assert np.sum(np.asarray(fit.classes.shares) > 0) == 3
-    assert np.asarray(fit.criterion).shape == (9,)
+    assert np.asarray(fit.criterion).shape == np.asarray(fit.iterations).shape == (9,)
 
 
 def test_the_criterion_of_one_class_is_that_of_schwarz():

@@ -15,7 +15,7 @@ import dataclasses
 
 import numpy as np
 
-from gsc_jax.estimators.protocol import Estimator, Finding, Prior, check_fields, unanimous
+from gsc_jax.estimators.protocol import NONE_FLAGGED, Estimator, Finding, Prior, unanimous
 from gsc_jax.estimators.robust import diagnostics
 from gsc_jax.estimators.robust.class_roles import Roles, assign_roles, scene_probability
 from gsc_jax.estimators.robust.gaussian_visibility import (
@@ -99,7 +99,7 @@ class RobustEstimator(Estimator):
 
     def __post_init__(self) -> None:
         """Check the fields."""
-        check_fields(self, RANGES)
+        self.check_fields(RANGES)
         valid = isinstance(self.classes, tuple) and self.classes
         if not valid or not all(count in range(2, MAX_CLASSES + 1) for count in self.classes):
             raise ValueError(
@@ -139,7 +139,7 @@ class RobustEstimator(Estimator):
             attribute=np.where(known, log_odds_of(probability), 0.0).astype(np.float32),
             verdict=verdict,
             reliability=diagnostics.reliability(evidence, labels, lifted.roles),
-            warnings=diagnostics.no_masks(labels)
+            warnings=[NONE_FLAGGED + diagnostics.FROM_PRIOR * bool(labels.any())]
             if trivial
             else diagnostics.warnings(lifted.roles, agreed, labels, (from_masks, verdict), prior),
         )

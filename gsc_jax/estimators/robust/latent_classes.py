@@ -48,11 +48,13 @@ class Fit:
         classes: Classes of the start with the best criterion.
         responsibilities: Probability of each class for a Gaussian, shape (K, S).
         criterion: Bayesian information criterion of every start (higher is better), shape (R,).
+        iterations: EM iterations of every start, shape (R,).
     """
 
     classes: Classes
     responsibilities: Array
     criterion: Array
+    iterations: Array
 
 
 def fit_classes(
@@ -81,18 +83,19 @@ def fit_classes(
 @jax.jit
 def _fit_all(flagged: Array, clear: Array, used: Array, keys: Array) -> Fit:
     fit_one = functools.partial(_fit_one, flagged, clear)
-    fitted, criterion = jax.vmap(fit_one)(used, keys)
+    fitted, criterion, iterations = jax.vmap(fit_one)(used, keys)
     best = jnp.argmax(criterion)
     classes = jax.tree.map(lambda leaf: leaf[best], fitted)
     return Fit(
         classes=classes,
         responsibilities=jax.nn.softmax(_log_joint(classes, flagged, clear), axis=0),
         criterion=criterion,
+        iterations=iterations,
     )
 
 
-def _fit_one(flagged: Array, clear: Array, used: Array, key: Array) -> tuple[Classes, Array]:
-    """Run EM from one start until convergence: classes and criterion."""
+def _fit_one(flagged: Array, clear: Array, used: Array, key: Array) -> tuple[Classes, Array, Array]:
+    """Run EM from one start until convergence: classes, criterion, iterations."""
     size = flagged.shape[1]
 
     def improves(state: tuple[Classes, Array, Array, Array]) -> Array:
@@ -108,11 +111,11 @@ def _fit_one(flagged: Array, clear: Array, used: Array, key: Array) -> tuple[Cla
 
     start = Classes(rates=_start_rates(flagged, clear, len(used), key), shares=used / jnp.sum(used))
     first = (start, jnp.float32(-1e30), jnp.float32(-jnp.inf), jnp.int32(0))
-    classes, likelihood, _, _ = jax.lax.while_loop(improves, step, first)
+    classes, likelihood, _, iterations = jax.lax.while_loop(improves, step, first)
     views = jnp.sum(jnp.any(flagged + clear > 0, axis=1), dtype=jnp.float32)
     parameters = jnp.sum(used) * (views + 1)
     penalty = 0.5 * parameters * jnp.log(jnp.float32(size))
-    return classes, size * likelihood - penalty
+    return classes, size * likelihood - penalty, iterations
 
 
 def _log_joint(classes: Classes, flagged: Array, clear: Array) -> Array:

@@ -19,8 +19,6 @@ from gsc_jax.detectors.session import CPU, fingerprint
 from gsc_jax.detectors.specs import PLAIN, PRESETS, OnnxSpec, preset
 from gsc_jax.scene import InputError
 
-__all__ = ["PRESETS", "OnnxDetector", "OnnxSpec"]
-
 PROBABILITY_TOLERANCE = 1e-3
 """Accepted excess over [0, 1], about the rounding of float16 near 1 (machine epsilon 9.8e-4)."""
 

@@ -72,9 +72,8 @@ def provider_names(providers: Sequence[str]) -> list[str]:
     """
     import onnxruntime
 
-    available = {
-        name.removesuffix(SUFFIX).lower(): name for name in onnxruntime.get_available_providers()
-    }
+    names = onnxruntime.get_available_providers()
+    available = {name.removesuffix(SUFFIX).lower(): name for name in names}
     short = [name.lower().removesuffix(SUFFIX.lower()) for name in providers]
     for name, key in zip(providers, short, strict=True):
         if key not in available:

@@ -52,10 +52,8 @@ class Observation:
     @functools.cached_property
     def votes(self) -> Tally:
         """Tally of the votes of all views (GS-Checker, eq. 5), shapes (N,)."""
-        votes = no_votes(len(self.gaussians))
-        for camera in self.cameras:
-            votes += votes_of_view(self.gaussians, camera, self.masks[camera.name])
-        return votes
+        views = (votes_of_view(self.gaussians, c, self.masks[c.name]) for c in self.cameras)
+        return sum(views, no_votes(len(self.gaussians)))
 
 
 def observe(

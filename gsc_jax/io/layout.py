@@ -37,7 +37,13 @@ def decode(vertex: "PlyElement", path: Path) -> Gaussians:
     `f_rest_*` that fits no degree 0 to 3, raise InputError of the path.
     """
     scales = SCALE if SCALE[2] in vertex else SCALE[:2]
-    rest = _rest_names(vertex, path)
+    count = sum(prop.name.startswith("f_rest_") for prop in vertex.properties)
+    if count not in REST_COUNTS:
+        raise InputError(
+            f"{path}: has {count} f_rest properties, expected 0, 9, 24 or 45 (spherical harmonics "
+            "of degree 0 to 3); export the scene again"
+        )
+    rest = REST[:count]
     _check_numeric(vertex, (*POSITION, *DC, "opacity", *scales, *ROTATION, *rest), path)
     log_scales = _columns(vertex, scales)
     if len(scales) == 2:
@@ -79,16 +85,6 @@ def checked_scores(path: str | Path, tamper: Array, count: int) -> np.ndarray:
             f"{scores.dtype} of shape {scores.shape}; correct the scores"
         )
     return real
-
-
-def _rest_names(vertex: "PlyElement", path: Path) -> tuple[str, ...]:
-    count = sum(prop.name.startswith("f_rest_") for prop in vertex.properties)
-    if count not in REST_COUNTS:
-        raise InputError(
-            f"{path}: has {count} f_rest properties, expected 0, 9, 24 or 45 (spherical harmonics "
-            "of degree 0 to 3); export the scene again"
-        )
-    return REST[:count]
 
 
 def _check_numeric(vertex: "PlyElement", names: tuple[str, ...], path: Path) -> None:

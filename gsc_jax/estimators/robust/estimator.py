@@ -155,13 +155,11 @@ class RobustEstimator(Estimator):
         """
         seen_sum, flagged_sum = summed_visibility(evidence, self.half_weight)
         seen = seen_sum > 0
-        nothing = MaskEstimate(probability=np.zeros(len(seen), np.float32), seen=seen)
-        if not (flagged and seen.any()):
-            return nothing
-        sample = stratified_sample(seen_sum, flagged_sum, self.sample)
-        roles = self._roles(evidence, *sample)
+        roles = None
+        if flagged and seen.any():
+            roles = self._roles(evidence, *stratified_sample(seen_sum, flagged_sum, self.sample))
         if roles is None:
-            return nothing
+            return MaskEstimate(probability=np.zeros(len(seen), np.float32), seen=seen)
         logits = -self.class_log_odds * pattern_distance(evidence, roles, self.half_weight)
         class_probability = smooth(
             logits, roles.tampered, means, seen, strength=self.smoothing, neighbours=self.neighbours

@@ -97,8 +97,7 @@ def observe(
 
     def detect() -> Iterator[tuple[Camera, View]]:
         # The detector runs in this thread only, since a user's function need not be thread-safe.
-        prepared = bounded_map(pool, prepare, missing)
-        for camera, (view, image) in zip(missing, prepared, strict=True):
+        for camera, (view, image) in zip(missing, bounded_map(pool, prepare, missing), strict=True):
             if not store.has(MAP, camera.name):
                 with monitor.stage("detect"):
                     _judge(detector, image, camera, store)
@@ -116,9 +115,8 @@ def observe(
         lifted = enumerate(bounded_map(pool, lift, detect()), len(cameras) - len(missing) + 1)
         for done, _ in lifted:
             monitor.progress("views", done, len(cameras))
-    evidence = SparseEvidence(
-        entry=lambda view: store.get(EVIDENCE, names[view]), shape=(len(names), len(gaussians))
-    )
+    shape = len(names), len(gaussians)
+    evidence = SparseEvidence(entry=lambda view: store.get(EVIDENCE, names[view]), shape=shape)
     return Observation(
         gaussians=gaussians,
         cameras=tuple(cameras),

@@ -16,7 +16,7 @@ BYTES_PER_CHARACTER = 40
 """Memory of a parsed tree per byte of text: an empty dictionary has 64 bytes for "{},"."""
 MAX_DEPTH = 100
 """No file that this package reads is deeper than 8."""
-PARSERS = {"JSON": json.loads, "TOML": tomllib.loads}
+PARSERS = {".json": json.loads, ".toml": tomllib.loads}
 
 
 def read_table(path: Path, *, remedy: str, max_bytes: int | None = None) -> Any:
@@ -25,11 +25,12 @@ def read_table(path: Path, *, remedy: str, max_bytes: int | None = None) -> Any:
     A file that cannot be read, is not valid or takes more than `max_bytes` of memory raises
     InputError, whose message ends with the `remedy`.
     """
-    kind = "TOML" if path.suffix.lower() == ".toml" else "JSON"
+    suffix = ".toml" if path.suffix.lower() == ".toml" else ".json"
+    kind = suffix[1:].upper()
     existing_file(path, expected=kind)
     with reported(f"{path}: not valid {kind}", f"; {remedy}"):
         check_allocation(path, BYTES_PER_CHARACTER * path.stat().st_size, max_bytes)
-        content = PARSERS[kind](path.read_text(encoding="utf-8-sig"))
+        content = PARSERS[suffix](path.read_text(encoding="utf-8-sig"))
         _check_tree(content, MAX_DEPTH)
     return content
 

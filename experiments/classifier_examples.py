@@ -65,7 +65,7 @@ def _sampled(case: BankCase) -> dict[str, np.ndarray]:
     sample = [rng.permutation(tampered)[:MAX_TAMPERED], rng.permutation(authentic)[:MAX_AUTHENTIC]]
     rows = np.concatenate(sample)
     return {
-        "values": features.values[rows].astype(np.float16),
+        "values": features.rows(rows).astype(np.float16),
         "labels": case.labels[rows],
         "share": case.labels.mean(),
         "names": np.array(features.names),

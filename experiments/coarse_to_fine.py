@@ -146,7 +146,8 @@ class CoarseToFine:
 
         with view_threads() as pool:
             entries = list(bounded_map(pool, refine, range(len(near_rows))))
-        return SparseEvidence(entries=entries, count=len(rows)).expanded(MAX_BYTES), share
+        thin = SparseEvidence(entry=entries.__getitem__, shape=(len(entries), len(rows)))
+        return thin.expanded(MAX_BYTES), share
 
     def _refined(self, index: int, own: np.ndarray, rows: np.ndarray, size: int) -> np.ndarray:
         """Evidence of a view as of `sparse`: from all pixels for `rows`, (N,) bool, else coarse.

@@ -22,9 +22,10 @@ from runner import measured, start
 from tables import Row, pivot, write_section
 
 from gsc_jax.benchmark.metrics import auc
-from gsc_jax.forensics.classifier import Classifier, raw_log_odds
+from gsc_jax.forensics.classifier import BLOCK, Classifier, raw_log_odds
 from gsc_jax.forensics.features import in_group
 from gsc_jax.scene import InputError
+from gsc_jax.scene.parallel import blocks
 
 NOTHING = "nothing"
 SEEDS = range(FIRST_SEED, FIRST_SEED + 6)
@@ -47,7 +48,9 @@ def _auc(case: Examples, classifier: Classifier, group: str) -> float:
     order = np.random.default_rng(0).permutation(len(values))
     columns = in_group(case.names, group)
     values[:, columns] = values[order][:, columns]
-    return auc(raw_log_odds(values, classifier.networks), case.labels)
+    parts = [values[part] for part in blocks(len(values), BLOCK)]
+    raw = [raw_log_odds(part, classifier.networks) for part in parts]
+    return auc(np.concatenate(raw), case.labels)
 
 
 def all_rows(args: NativeArgs) -> Iterator[Iterator[Row]]:

@@ -213,7 +213,7 @@ def _from_views(
     # Masks from files cost nothing; each view of a network takes seconds.
     if estimator.stops_early and detector.needs_image:
         observation, finding, stop = observe_until_stable(
-            observed, chosen, estimator, prior=prior, monitor=monitor
+            observed, chosen, estimator, prior, monitor
         )
     else:
         # Render (eq. 4), detect, vote (eq. 5), lift the masks to evidence (eq. 9 and 10) ...

@@ -9,12 +9,15 @@ import numpy as np
 
 from gsc_jax.benchmark.scenes import concatenate, make_room
 from gsc_jax.forensics.calibration import Classification
-from gsc_jax.forensics.evidence import ForensicEvidence, combine
+from gsc_jax.forensics.copy_move import copy_move
+from gsc_jax.forensics.evidence import LOCAL_TRACES, ForensicEvidence, combine
+from gsc_jax.forensics.row_order import row_order
 from gsc_jax.forensics.traces import NEIGHBOURS, Trace
 from gsc_jax.scene import Gaussians
 from gsc_jax.scene.neighbours import nearest_neighbours
 
 Detect = Callable[[Gaussians, np.ndarray], Trace]
+TRACES: tuple[Detect, ...] = (copy_move, *LOCAL_TRACES, lambda gaussians, _: row_order(gaussians))
 BASE, PEAK = -3.0, 7.0
 """Log odds of the base rate and of the peak of a scene."""
 

@@ -36,7 +36,7 @@ def modify_region(
     elif kind == "texture":
         after, change = add_pattern(before, region, rng)
     elif kind == "scale":
-        after = warp_gaussians(before, scaling(region, factor))
+        after = warp_gaussians(before, lambda x: scaling(x, region, factor))
         change = f"made {factor:.1f} times as large"
     else:
         after, change = _reshape(before, region, rng)
@@ -130,40 +130,33 @@ def _reshape(
 ) -> tuple[Gaussians, str]:
     if rng.random() < 0.5:
         angle = rng.choice([-1, 1]) * rng.uniform(90, 200)
-        after = warp_gaussians(before, twist(region, np.radians(angle)))
+        after = warp_gaussians(before, lambda x: twist(x, region, np.radians(angle)))
         return after, f"its middle twisted by {angle:.0f} degrees"
     height = rng.uniform(0.4, 0.8) * region.radius
-    return warp_gaussians(before, bulge(region, height)), f"its middle lifted by {height:.2g}"
+    after = warp_gaussians(before, lambda x: bulge(x, region, height))
+    return after, f"its middle lifted by {height:.2g}"
 
 
-def scaling(region: regions.Region, factor: float) -> Warp:
-    """Warp that scales a region about its centre."""
+def scaling(x: jax.Array, region: regions.Region, factor: float) -> jax.Array:
+    """Scale a point of a region about its centre."""
     center = jnp.asarray(region.center, jnp.float32)
     # A small shift towards the cameras keeps an enlarged sheet in front of its surroundings.
     lift = jnp.asarray(0.03 * region.radius * region.towards, jnp.float32)
-    return lambda x: center + lift + jnp.float32(factor) * (x - center)
+    return center + lift + jnp.float32(factor) * (x - center)
 
 
-def twist(region: regions.Region, angle: float) -> Warp:
-    """Warp that rotates a region about the direction to the cameras, most at its centre."""
-
-    def warp(x):
-        center, axis, along, across, decay = _split(x, region)
-        turn = jnp.float32(angle) * decay
-        turned = jnp.cos(turn) * across + jnp.sin(turn) * jnp.cross(axis, across)
-        return center + along + turned
-
-    return warp
+def twist(x: jax.Array, region: regions.Region, angle: float) -> jax.Array:
+    """Rotate a point of a region about the direction to the cameras, most at its centre."""
+    center, axis, along, across, decay = _split(x, region)
+    turn = jnp.float32(angle) * decay
+    turned = jnp.cos(turn) * across + jnp.sin(turn) * jnp.cross(axis, across)
+    return center + along + turned
 
 
-def bulge(region: regions.Region, height: float) -> Warp:
-    """Warp that shifts a region towards the cameras, most at its centre."""
-
-    def warp(x):
-        _, axis, _, _, decay = _split(x, region)
-        return x + jnp.float32(height) * decay * axis
-
-    return warp
+def bulge(x: jax.Array, region: regions.Region, height: float) -> jax.Array:
+    """Shift a point of a region towards the cameras, most at its centre."""
+    _, axis, _, _, decay = _split(x, region)
+    return x + jnp.float32(height) * decay * axis
 
 
 def _split(x: jax.Array, region: regions.Region) -> tuple[jax.Array, ...]:

@@ -139,11 +139,8 @@ def visible_shares(
     gaussians: Gaussians, cameras: Sequence[Camera], labels: np.ndarray, *, near: float
 ) -> np.ndarray:
     """Share of the pixels of each view that are tampered, shape (V,)."""
-
-    def share(camera: Camera) -> float:
-        return float(truth_mask(gaussians, camera, labels, near=near).mean())
-
-    return np.array(map_views(share, cameras), np.float64)
+    masks = map_views(lambda camera: truth_mask(gaussians, camera, labels, near=near), cameras)
+    return np.array([mask.mean() for mask in masks], np.float64)
 
 
 def median_visible_share(shares: np.ndarray) -> float:

@@ -204,8 +204,7 @@ def _edge_radius(points: np.ndarray, angles: np.ndarray) -> np.ndarray:
     centers = SECTOR_BOUNDS[1:] - np.pi / SECTORS
     sector = np.digitize(directions, SECTOR_BOUNDS[1:-1])
     middle = np.quantile(radii, 0.8)
-    edge = np.array(
-        [np.quantile(np.append(radii[sector == s], middle), 0.95) for s in range(SECTORS)]
-    )
+    near = [np.append(radii[sector == index], middle) for index in range(SECTORS)]
+    edge = np.array([np.quantile(part, 0.95) for part in near])
     smooth = (np.roll(edge, 1) + 2 * edge + np.roll(edge, -1)) / 4
     return np.interp(angles, centers, smooth, period=2 * np.pi)

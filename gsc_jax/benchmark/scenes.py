@@ -62,16 +62,14 @@ def room_cameras(
     rng = np.random.default_rng([seed, 2])
     turns = 2 * np.pi * (np.arange(n) + rng.random() + rng.uniform(-0.3, 0.3, n)) / max(n, 1)
     K = intrinsics(0.75 * width, width, height)
-    views = []
+    cameras = []
     for i, turn in enumerate(turns):
         position = np.array([1.7 * np.cos(turn), -rng.uniform(1.25, 1.75), 1.5 * np.sin(turn)])
         aside = 2.2 * np.array([-np.sin(turn), 0, np.cos(turn)]) if i % 8 == 5 else np.zeros(3)
         target = OBJECT_FOOT + 0.15 * UP + aside + rng.normal(0, [0.2, 0.1, 0.2])
-        views.append(look_at(position, target, UP))
-    return [
-        Camera(viewmat=view, K=K, width=width, height=height, name=f"{prefix}_{i:03d}")
-        for i, view in enumerate(views)
-    ]
+        view, name = look_at(position, target, UP), f"{prefix}_{i:03d}"
+        cameras.append(Camera(viewmat=view, K=K, width=width, height=height, name=name))
+    return cameras
 
 
 def tampered_room(

@@ -62,11 +62,7 @@ REGIMES: Mapping[str, Failures] = {
 
 
 def simulate(
-    truth: np.ndarray,
-    decoy: np.ndarray | None = None,
-    *,
-    seed: int,
-    failures: Failures,
+    truth: np.ndarray, decoy: np.ndarray | None = None, *, seed: int, failures: Failures
 ) -> np.ndarray:
     """Probability maps (V, H, W) of a detector with these failures, float32.
 
@@ -88,7 +84,7 @@ def simulate(
         regions |= decoy & flagged_views[:, None, None]
     inverted = _random_share(np.ones(len(truth), bool), failures.inverted, rng)
     views = [_probability_map(region, failures, rng) for region in regions]
-    flagged = np.stack(views) if views else np.zeros(truth.shape)
+    flagged = np.reshape(views, truth.shape)
     return np.where(inverted[:, None, None], 1 - flagged, flagged).astype(np.float32)
 
 

@@ -73,27 +73,26 @@ class TrainingStatistics:
     lit: float = 0.55
 
 
-def quad(corner: Vector, u: np.ndarray, v: np.ndarray) -> Surface:
+def quad(center: Vector, u: np.ndarray, v: np.ndarray) -> Surface:
     """Parallelogram; seen from its front, u points right and v down."""
+    corner = np.asarray(center) - u / 2 - v / 2
     cross = np.cross(v, u)
     area = float(np.linalg.norm(cross))
 
     def at(uv: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return np.asarray(corner) + uv @ np.stack([u, v]), np.tile(cross / area, (len(uv), 1))
+        return corner + uv @ np.stack([u, v]), np.tile(cross / area, (len(uv), 1))
 
     return Surface(area, at)
 
 
 def panel(center: Vector, normal: np.ndarray, width: float, height: float) -> Surface:
     """Upright rectangle that faces along a horizontal normal."""
-    right, down = width * np.cross(UP, normal), -height * UP
-    return quad(np.asarray(center) - right / 2 - down / 2, right, down)
+    return quad(center, width * np.cross(UP, normal), -height * UP)
 
 
 def flat(center: Vector, width: float, depth: float) -> Surface:
     """Level rectangle that faces up."""
-    right, near = width * RIGHT, depth * FRONT
-    return quad(np.asarray(center) - right / 2 - near / 2, right, near)
+    return quad(center, width * RIGHT, depth * FRONT)
 
 
 def box(foot: Vector, width: float, height: float, depth: float) -> list[Surface]:
@@ -194,9 +193,8 @@ def sample_parts(
     shares = np.cumsum([part.surface.area * part.detail for part in parts])
     counts = np.diff(np.rint(shares / shares[-1] * count).astype(int), prepend=0)
     covered = [_cover(p, n, statistics, rng) for p, n in zip(parts, counts, strict=True) if n]
-    return _surfels(
-        *map(np.concatenate, zip(*covered, strict=True)), statistics=statistics, rng=rng
-    )
+    columns = map(np.concatenate, zip(*covered, strict=True))
+    return _surfels(*columns, statistics=statistics, rng=rng)
 
 
 def _cover(

@@ -14,20 +14,11 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from gsc_jax.benchmark import regions
 from gsc_jax.benchmark.incorporation import paste_object
 from gsc_jax.benchmark.metrics import truth_mask
 from gsc_jax.benchmark.modification import modify_region
-from gsc_jax.benchmark.regions import (
-    VISIBLE_SHARE,
-    EditRejected,
-    ProposedEdit,
-    Visibility,
-    map_views,
-    measure_visibility,
-    median_visible_share,
-    scaled_down,
-    visible_shares,
-)
+from gsc_jax.benchmark.regions import VISIBLE_SHARE, EditRejected, ProposedEdit, Visibility
 from gsc_jax.benchmark.removal import remove_region
 from gsc_jax.render.projection import NEAR
 from gsc_jax.scene import Camera, Gaussians, InputError
@@ -102,7 +93,7 @@ def tamper(
         kind, make = (edit, PROPOSALS[edit]) if isinstance(edit, str) else edit
     # The count enters the seed, so that one seed gives different kinds of edit in each scene.
     rng = np.random.default_rng([seed, EDITS.index(kind), len(gaussians)])
-    visibility = measure_visibility(gaussians, cameras, near=near)
+    visibility = regions.measure_visibility(gaussians, cameras, near=near)
     reasons = []
     for _ in range(ATTEMPTS):
         try:
@@ -125,12 +116,12 @@ def _checked(
     proposed: ProposedEdit, cameras: Sequence[Camera], visibility: Visibility, size: float
 ) -> np.ndarray:
     """Share of the pixels of each camera that show the edit; raise if it is unsuitable."""
-    small = [scaled_down(camera) for camera in cameras]
-    visible = visible_shares(proposed.gaussians, small, proposed.labels, near=visibility.near)
+    small, near = [regions.scaled_down(camera) for camera in cameras], visibility.near
+    visible = regions.visible_shares(proposed.gaussians, small, proposed.labels, near=near)
     seen = np.mean(visible >= VISIBLE_SHARE)
     if seen < MIN_VISIBLE_VIEWS:
         raise EditRejected(f"{proposed.description}: seen in {seen:.0%} of the views")
-    covers = median_visible_share(visible)
+    covers = regions.median_visible_share(visible)
     if not 1 / SIZE_TOLERANCE < covers / size < SIZE_TOLERANCE:
         raise EditRejected(f"{proposed.description}: covers {covers:.1%} of the pixels")
     if proposed.original is not None:
@@ -152,7 +143,7 @@ def _colour_change(proposed: ProposedEdit, original: Gaussians, visibility: Visi
         images = (np.asarray(render(scene, camera, near=near)[0]) for scene in scenes)
         return float(np.abs(np.subtract(*images))[inside].mean())
 
-    values = np.array(map_views(change, visibility.cameras[::2]))
+    values = np.array(regions.map_views(change, visibility.cameras[::2]))
     return float(values[np.isfinite(values)].mean()) if np.isfinite(values).any() else 0.0
 
 
@@ -161,7 +152,8 @@ def _shuffled(
 ) -> Tampered:
     order = rng.permutation(len(proposed.labels))
     views = f"{np.count_nonzero(visible >= VISIBLE_SHARE)} of {len(visible)} views that see it"
-    covers = f"{median_visible_share(visible):.1%} of the pixels in the median of the {views}"
+    share = regions.median_visible_share(visible)
+    covers = f"{share:.1%} of the pixels in the median of the {views}"
     return Tampered(
         gaussians=proposed.gaussians.take(order),
         labels=proposed.labels[order],

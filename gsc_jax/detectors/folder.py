@@ -22,6 +22,7 @@ import numpy as np
 
 from gsc_jax.evidence.detector import same_view
 from gsc_jax.io import masks
+from gsc_jax.io.files import content_digest
 from gsc_jax.scene import Camera, InputError
 
 
@@ -56,11 +57,8 @@ class FolderDetector:
     @property
     def fingerprint(self) -> str:
         """Digest of the names and contents of the files."""
-        digest = hashlib.blake2b(repr(self._files).encode(), digest_size=16)
-        for file in self._files:
-            with (self.path / file).open("rb") as stream:
-                digest.update(hashlib.file_digest(stream, hashlib.blake2b).digest())
-        return digest.hexdigest()
+        contents = [(file, content_digest(self.path / file)) for file in self._files]
+        return hashlib.blake2b(repr(contents).encode(), digest_size=16).hexdigest()
 
     def select(self, cameras: Sequence[Camera]) -> list[Camera]:
         """Cameras that have a mask, in their order; InputError if there is none."""

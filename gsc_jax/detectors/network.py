@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from gsc_jax.detectors.session import CPU, open_session
-from gsc_jax.io.validation import brief
+from gsc_jax.io.validation import reported
 from gsc_jax.scene import Camera, InputError
 
 Shape = Sequence[int | str | None]
@@ -83,14 +83,10 @@ class Network:
         """
         pairs = list(zip(self.inputs, arrays, strict=True))
         feed = {tensor.name: array.astype(NUMBERS[tensor.type]) for tensor, array in pairs}
-        try:
+        given = ", ".join(f"{tensor.name} {shape_text(array.shape)}" for tensor, array in pairs)
+        failure = f"{self.path}: the model fails on view {view!r} with {given}"
+        with reported(failure, "; export the model for this shape"):
             found = self._session.run([tensor.name for tensor in self.outputs], feed)
-        except Exception as error:  # the errors of onnxruntime have no common base class
-            given = ", ".join(f"{tensor.name} {shape_text(array.shape)}" for tensor, array in pairs)
-            raise InputError(
-                f"{self.path}: the model fails on view {view!r} with {given}: "
-                f"{brief(error)}; export the model for this shape"
-            ) from error
         outputs = [np.asarray(array, np.float32) for array in found]
         sides = dict(self.sides)
         checked = zip(self._tensors, (*arrays, *outputs), self._specs, strict=True)
@@ -121,12 +117,11 @@ class Network:
         )
 
 
-def fits(shape: Shape, expected: Shape, sides: dict[str, int] | None = None) -> bool:
+def fits(shape: Shape, expected: Shape, sides: dict[str, int]) -> bool:
     """Whether a shape, whose free sides are names or None, can be the expected one.
 
     There, names stand for the lengths in `sides`, to which those of the shape are added.
     """
-    sides = {} if sides is None else sides
     for found, side in zip(shape, expected, strict=False):
         wanted = sides.get(side) if isinstance(side, str) else side
         if isinstance(found, int) and wanted not in (None, found):
@@ -184,9 +179,7 @@ class NetworkDetector(ABC):
         """Anomalies in the outputs of the views so far."""
         found = []
         for anomaly, text in self.anomalies.items():
-            counts = {
-                view: all_[anomaly] for view, all_ in self.diagnostics.items() if all_[anomaly]
-            }
+            counts = {view: own[anomaly] for view, own in self.diagnostics.items() if own[anomaly]}
             if counts:
                 found.append(
                     f"{self.model}: {text.format(count=sum(counts.values()))} in {len(counts)} of "

@@ -19,8 +19,6 @@ from gsc_jax.detectors.session import CPU, fingerprint
 from gsc_jax.detectors.specs import PLAIN, PRESETS, OnnxSpec, preset
 from gsc_jax.scene import InputError
 
-__all__ = ["PRESETS", "OnnxDetector", "OnnxSpec"]
-
 PROBABILITY_TOLERANCE = 1e-3
 """Accepted excess over [0, 1], about the rounding of float16 near 1 (machine epsilon 9.8e-4)."""
 
@@ -119,7 +117,7 @@ class OnnxDetector(NetworkDetector):
     def _check_map(self, shape: Shape) -> None:
         """Require a shape, with possibly free sides, of one map with the channel of the spec."""
         found = f"{self.path}: output {self._output.name!r} has shape {shape_text(shape)}"
-        if len(shape) not in (2, 3, 4) or (len(shape) == 4 and not fits(shape[:1], (1,))):
+        if len(shape) not in (2, 3, 4) or (len(shape) == 4 and not fits(shape[:1], (1,), {})):
             raise InputError(f"{found}, expected one map: [1, channels, height, width]")
         count = 1 if len(shape) == 2 else shape[self._channel_axis(len(shape))]
         channel = self.spec.channel

@@ -88,7 +88,7 @@ class SafireDetector(NetworkDetector):
         inputs = [EMBEDDINGS, POINT_COORDS, POINT_LABELS]
         self._decoder = Network(self.decoder, inputs, {0: MASKS, 1: CONFIDENCES}, **run)
         given, taken = self._encoder.outputs[0].shape, self._decoder.inputs[0].shape
-        if given and not fits(taken, given):
+        if given and not fits(taken, given, {}):
             raise InputError(
                 f"{self.decoder}: takes embeddings of shape {shape_text(taken)}, the encoder gives "
                 f"{shape_text(given)}; export both from one network"
@@ -107,9 +107,8 @@ class SafireDetector(NetworkDetector):
     def fingerprint(self) -> str:
         """Key for `CachedDetector`: a digest of everything that determines the map of an image."""
         options = ("safire", self.grid, self.seed, self._side, self._batch)
-        return fingerprint(self.encoder, options, self._encoder.providers) + fingerprint(
-            self.decoder, self._decoder.providers
-        )
+        encoder = fingerprint(self.encoder, options, self._encoder.providers)
+        return encoder + fingerprint(self.decoder, self._decoder.providers)
 
     def _decode(self, embeddings: np.ndarray, view: str) -> tuple[np.ndarray, np.ndarray]:
         """Masks (P, h, w) and confidences (P,) of the whole grid."""
@@ -119,11 +118,9 @@ class SafireDetector(NetworkDetector):
         for start in range(0, len(points), self._batch):
             # Repeats of the last point fill the last batch, since the batch size may be fixed.
             rows = np.arange(start, start + self._batch).clip(max=len(points) - 1)
-            some_masks, confidence = self._decoder.run(
-                embeddings, points[rows, None], labels, view=view
-            )
-            masks.append(some_masks[:, 0])
-            confidences.append(confidence[:, 0])
+            found = self._decoder.run(embeddings, points[rows, None], labels, view=view)
+            masks.append(found[0][:, 0])
+            confidences.append(found[1][:, 0])
         return np.concatenate(masks)[: len(points)], np.concatenate(confidences)[: len(points)]
 
 

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gsc_jax.io.files import existing_file
-from gsc_jax.io.validation import brief
+from gsc_jax.io.files import content_digest, existing_file
+from gsc_jax.io.validation import reported
 from gsc_jax.scene import InputError
 
 if TYPE_CHECKING:
@@ -50,15 +50,11 @@ def open_session(
     options.log_severity_level = 4  # the raised errors contain the messages
     # Otherwise onnxruntime reads a file with the suffix .ort as another format.
     options.add_session_config_entry("session.load_model_format", "ONNX")
-    try:
+    remedy = "; export it again, with external tensors in the same folder"
+    with reported(f"{path}: onnxruntime cannot load it as an ONNX model", remedy):
         session = onnxruntime.InferenceSession(
             path, options, providers=names, enable_fallback=False
         )
-    except Exception as error:  # the errors of onnxruntime have no common base class
-        raise InputError(
-            f"{path}: onnxruntime cannot load it as an ONNX model ({brief(error)}); export "
-            "it again, with external tensors in the same folder"
-        ) from error
     # onnxruntime silently drops a provider without a driver.
     missing = [name for name in names if name not in session.get_providers()]
     if missing:
@@ -76,9 +72,8 @@ def provider_names(providers: Sequence[str]) -> list[str]:
     """
     import onnxruntime
 
-    available = {
-        name.removesuffix(SUFFIX).lower(): name for name in onnxruntime.get_available_providers()
-    }
+    names = onnxruntime.get_available_providers()
+    available = {name.removesuffix(SUFFIX).lower(): name for name in names}
     short = [name.lower().removesuffix(SUFFIX.lower()) for name in providers]
     for name, key in zip(providers, short, strict=True):
         if key not in available:
@@ -102,12 +97,9 @@ def fingerprint(path: Path, *facts: object) -> str:
     """
     import onnxruntime
 
-    facts = (onnxruntime.__version__, *facts)
-    digest = hashlib.blake2b(repr(facts).encode(), digest_size=16)
-    for part in (*sorted(Path(__file__).parent.glob("*.py")), path, *external_files(path)):
-        with part.open("rb") as file:
-            digest.update(hashlib.file_digest(file, hashlib.blake2b).digest())
-    return digest.hexdigest()
+    parts = (*sorted(Path(__file__).parent.glob("*.py")), path, *external_files(path))
+    facts = (onnxruntime.__version__, *facts, *map(content_digest, parts))
+    return hashlib.blake2b(repr(facts).encode(), digest_size=16).hexdigest()
 
 
 def external_files(path: Path) -> list[Path]:

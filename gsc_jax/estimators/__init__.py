@@ -14,18 +14,8 @@ from gsc_jax.evidence.observation import Observation
 from gsc_jax.scene import Camera, Gaussians
 from gsc_jax.scene.parallel import bounded_map, view_threads
 
-__all__ = [
-    "METHODS",
-    "Estimator",
-    "Finding",
-    "GSChecker",
-    "Method",
-    "Prior",
-    "RobustEstimator",
-    "configured",
-    "estimate",
-    "sweep",
-]
+__all__ = ["METHODS", "Estimator", "Finding", "GSChecker", "Method", "Prior", "RobustEstimator"]
+__all__ += ["configured", "estimate", "sweep"]
 
 Method = Literal["robust", "official", "paper"]
 METHODS: Mapping[str, Estimator] = {
@@ -37,16 +27,9 @@ METHODS: Mapping[str, Estimator] = {
 
 
 def configured(method: str | None = None, config: Estimator | None = None) -> Estimator:
-    """The estimator of a method.
+    """The estimator of a method or a configuration, as `estimate` and `locate` take them.
 
-    Args:
-        method: A key of `METHODS`; by default that of `config`, or else `robust`.
-        config: Replaces the default configuration of the method, e.g.
-            `dataclasses.replace(METHODS["paper"], epochs=1)`.
-
-    Raises:
-        ValueError: if there is no such method, the configuration is no estimator, or it is that of
-            another method.
+    ValueError if there is no such method, or the configuration is no estimator or of another one.
     """
     if method is not None and method not in METHODS:
         raise ValueError(f"method must be one of {', '.join(METHODS)}, got {method!r}")

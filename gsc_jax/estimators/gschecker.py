@@ -11,15 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from gsc_jax.estimators.protocol import (
-    DISAGREEMENT,
-    MAX_SEED,
-    Estimator,
-    Finding,
-    Prior,
-    check_fields,
-    unanimous,
-)
+from gsc_jax.estimators.protocol import DISAGREEMENT, Estimator, Finding, Prior, unanimous
 from gsc_jax.evidence.masks import MaskRule, normalise
 from gsc_jax.evidence.observation import Observation
 from gsc_jax.loop import LoopConfig, fit, fit_rendered, resolved, view_order
@@ -27,7 +19,6 @@ from gsc_jax.losses import official_attributes, paper_attributes, standardised_a
 from gsc_jax.render.projection import NEAR
 from gsc_jax.render.tiles import View, make_view
 from gsc_jax.scene import Array
-from gsc_jax.scene.errors import BELOW_1
 from gsc_jax.vote import official_consensus, paper_consensus
 
 CONSENSUS = {"paper": paper_consensus, "official": official_consensus}
@@ -36,15 +27,6 @@ ATTRIBUTES = {
     "official": official_attributes,
     "standardised": standardised_attributes,
 }
-
-
-RANGES = {
-    "epochs": (1, 1000),
-    "seed": (0, MAX_SEED),
-    "threshold": (0.0, BELOW_1),
-    "near": (1e-9, 1e9),
-}
-"""Smallest and largest valid value of the numeric fields; integers where the field is one."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -82,7 +64,7 @@ class GSChecker(Estimator):
 
     def __post_init__(self) -> None:
         """Check the fields."""
-        check_fields(self, RANGES)
+        self.check_fields({"epochs": (1, 1000)})
 
     def for_views(self, views: int) -> "GSChecker":
         """Fill in the iteration at which the 3D loss joins."""
@@ -97,9 +79,8 @@ class GSChecker(Estimator):
         r = self.initial_attribute(observation)  # eq. 6, from the votes of eq. 5
         F = ATTRIBUTES[self.attributes](observation.gaussians)  # what eq. 7 compares
         attribute, group_sizes = self._optimise(observation, r, F)  # eq. 7 to 12
-        finding = unanimous(observation.evidence)
-        if finding is None:
-            finding = self._decide(attribute, group_sizes, observation.evidence.seen)
+        evidence = observation.evidence
+        finding = unanimous(evidence) or self._decide(attribute, group_sizes, evidence.seen)
         unused = f"The prior was not used: {self.name} uses masks only."
         return dataclasses.replace(
             finding,

@@ -11,7 +11,7 @@ import numpy as np
 from gsc_jax.evidence.lifting import EvidenceOfViews
 from gsc_jax.evidence.masks import MaskRule
 from gsc_jax.evidence.observation import Observation
-from gsc_jax.scene.errors import check_ranges
+from gsc_jax.scene.errors import BELOW_1, check_ranges
 
 Reliability = Literal["reliable", "uninformative", "inverted", "unseen"]
 """Reliability of a mask: it flags most of the labelled Gaussians in the view, it does not, it flags
@@ -22,8 +22,13 @@ EVIDENCE_FROM, NONE_BELOW = 0.65, 0.35
 """Scene probabilities from which there is evidence, about 2 to 1 odds, and below which none."""
 DISAGREEMENT = "Pixels were flagged, but the views agree on no tampered Gaussian."
 """Warning of an estimator that labels nothing although masks are not empty."""
-MAX_SEED = 2**32 - 1
-"""Largest seed that both NumPy and JAX accept."""
+RANGES: Mapping[str, tuple[float, float]] = {
+    "seed": (0, 2**32 - 1),  # the largest that both NumPy and JAX accept
+    "near": (1e-9, 1e9),
+    **dict.fromkeys(("threshold", "tolerance", "min_verdict"), (0.0, BELOW_1)),
+    "prior_weight": (0.0, 1.0),
+}
+"""Smallest and largest value of the fields that every estimator has; whole numbers for integers."""
 NONE_FLAGGED = "All masks are empty."
 ALL_FLAGGED = "The masks cover everything in every view."
 
@@ -116,15 +121,7 @@ class Finding:
 class Estimator(abc.ABC):
     """Interface of estimators: frozen dataclasses whose fields are their configuration.
 
-    Attributes:
-        name: Name of the method in results.
-        threshold: Score above which a Gaussian is labelled.
-        mask_rule: How labels become the mask of a view.
-        near: Near plane in world units.
-        seed: Seed of everything random.
-        tolerance: With a network as detector, views are added until they change less than this
-            share of the labelled weight; 0 uses all views.
-        min_verdict: Scene probability below which nothing is labelled.
+    `RobustEstimator` documents the fields that all have; those with a value here may be left out.
     """
 
     __dataclass_fields__: ClassVar[dict[str, Any]]
@@ -135,11 +132,12 @@ class Estimator(abc.ABC):
     seed: int
     tolerance: float = 0.0
     min_verdict: float = 0.0
+    prior_weight: float = 0.0
 
     @property
     def uses_prior(self) -> bool:
         """Whether a prior changes the finding."""
-        return False
+        return self.prior_weight > 0
 
     @property
     def stops_early(self) -> bool:
@@ -155,14 +153,16 @@ class Estimator(abc.ABC):
         del views
         return self
 
+    def check_fields(self, ranges: Mapping[str, tuple[float, float]]) -> None:
+        """Raise ValueError for an unknown value of a `Literal`, and for a number out of its range.
 
-def check_fields(estimator: Estimator, ranges: Mapping[str, tuple[float, float]]) -> None:
-    """Raise ValueError for an unknown value of a `Literal`, and for numbers out of their ranges."""
-    for name, hint in typing.get_type_hints(type(estimator)).items():
-        known, value = typing.get_args(hint), getattr(estimator, name)
-        if typing.get_origin(hint) is Literal and value not in known:
-            raise ValueError(f"{name} must be one of {', '.join(known)}, got {value!r}")
-    check_ranges(estimator, ranges)
+        The ranges are those of further fields, beside `RANGES`.
+        """
+        for name, hint in typing.get_type_hints(type(self)).items():
+            known, value = typing.get_args(hint), getattr(self, name)
+            if typing.get_origin(hint) is Literal and value not in known:
+                raise ValueError(f"{name} must be one of {', '.join(known)}, got {value!r}")
+        check_ranges(self, {**RANGES, **ranges})
 
 
 def unanimous(evidence: EvidenceOfViews) -> Finding | None:

@@ -65,9 +65,8 @@ def fit_to_view(probability: Any, camera: Camera) -> np.ndarray:
         )
     if output.shape == size:
         return output
-    shrinks = output.shape[0] > size[0] or output.shape[1] > size[1]
-    resized = resize(output, size, order=1, mode="edge", anti_aliasing=shrinks)
-    return np.asarray(resized, np.float32).clip(0.0, 1.0)
+    # After a low-pass filter if it shrinks.
+    return np.asarray(resize(output, size, order=1, mode="edge"), np.float32).clip(0.0, 1.0)
 
 
 def _as_map(probability: Any, camera: Camera) -> np.ndarray:
@@ -168,17 +167,17 @@ def as_detector(detector: Any, cameras: Sequence[Camera] = ()) -> Detector:
             "detector is a torch module, expected a function of the image (H, W, 3) in [0, 1]; "
             "wrap it: docs/detectors.md, section 'Without ONNX', has an example"
         )
-    if not callable(detector) and hasattr(detector, "__iter__") and not isinstance(detector, str):
-        maps = list(detector)
-        if len(maps) != len(cameras):
-            raise InputError(
-                f"expected a mask for each of {len(cameras)} cameras, in their order, got "
-                f"{len(maps)}; give masks by camera name to leave cameras out"
-            )
-        return _MappingDetector({c.name: one for c, one in zip(cameras, maps, strict=True)})
-    if not callable(detector):
+    if callable(detector):
+        return _FunctionDetector(detector)
+    if isinstance(detector, str) or not hasattr(detector, "__iter__"):
         raise ValueError(
             "detector must be a detector, a function of the image, or probability maps by camera "
             f"name, got {type(detector).__name__}"
         )
-    return _FunctionDetector(detector)
+    maps = list(detector)
+    if len(maps) != len(cameras):
+        raise InputError(
+            f"expected a mask for each of {len(cameras)} cameras, in their order, got "
+            f"{len(maps)}; give masks by camera name to leave cameras out"
+        )
+    return _MappingDetector({c.name: one for c, one in zip(cameras, maps, strict=True)})

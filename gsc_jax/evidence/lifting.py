@@ -10,8 +10,8 @@ leaves out are exact, so estimates from it are the same.
 
 import abc
 import dataclasses
-import functools
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Callable, Iterator
 
 import jax.numpy as jnp
 import numpy as np
@@ -26,11 +26,7 @@ class EvidenceOfViews(abc.ABC):
 
     total: Array
     tampered: Array
-
-    @property
-    @abc.abstractmethod
-    def shape(self) -> tuple[int, int]:
-        """V and N."""
+    shape: tuple[int, int]
 
     @abc.abstractmethod
     def view(self, index: int) -> "Evidence":
@@ -47,16 +43,13 @@ class EvidenceOfViews(abc.ABC):
     @property
     def seen(self) -> np.ndarray:
         """Mask of the Gaussians with weight in at least one view, shape (N,) bool."""
-        unseen = np.zeros(self.shape[1], bool)
-        return functools.reduce(
-            np.logical_or, (np.asarray(v.total) > 0 for v in self.views()), unseen
-        )
+        return self.weight > 0
 
     @property
     def weight(self) -> np.ndarray:
         """Blending weight summed over the views, shape (N,) float32."""
         nothing = np.zeros(self.shape[1], np.float32)
-        return functools.reduce(np.add, (np.asarray(v.total) for v in self.views()), nothing)
+        return sum((np.asarray(view.total) for view in self.views()), nothing)
 
     @property
     def none_flagged(self) -> bool:
@@ -82,7 +75,7 @@ class Evidence(EvidenceOfViews):
     tampered: Array
 
     @property
-    def shape(self) -> tuple[int, int]:
+    def shape(self) -> tuple[int, int]:  # pyright: ignore[reportIncompatibleVariableOverride]
         """V and N; V is 1 for the evidence of one view."""
         views, count = np.shape(jnp.atleast_2d(self.total))
         return views, count
@@ -103,31 +96,27 @@ class SparseEvidence(EvidenceOfViews):
     """Evidence without the Gaussians that a view does not show.
 
     Attributes:
-        entries: What `sparse` returns, for each of V views; they may be read from files.
-        count: Number of Gaussians N.
+        entry: Gives what `sparse` returns for a view, by its index; it may read a file.
+        shape: V and N.
     """
 
-    entries: Sequence[np.ndarray]
-    count: int
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """V and N."""
-        return len(self.entries), self.count
+    entry: Callable[[int], np.ndarray]
+    shape: tuple[int, int]
 
     def view(self, index: int) -> Evidence:
         """Evidence of one view, shapes (N,)."""
-        rows, total, tampered = self.entries[index]
-        both = np.zeros((2, self.count), np.float32)
+        rows, total, tampered = self.entry(index)
+        both = np.zeros((2, self.shape[1]), np.float32)
         both[:, rows] = np.stack([total, tampered]).view(np.float32)
         return Evidence(total=both[0], tampered=both[1])
 
     def of(self, rows: np.ndarray | slice) -> tuple[np.ndarray, np.ndarray]:
         """Total and tampered weight of M of the Gaussians in all views, shapes (V, M)."""
-        wanted = np.arange(self.count)[rows]
-        both = np.zeros((2, len(self.entries), len(wanted)), np.float32)
-        for view, entries in enumerate(self.entries):
-            at, weights = _find(entries, wanted, consecutive=isinstance(rows, slice))
+        views, count = self.shape
+        wanted = np.arange(count)[rows]
+        both = np.zeros((2, views, len(wanted)), np.float32)
+        for view in range(views):
+            at, weights = _find(self.entry(view), wanted, consecutive=isinstance(rows, slice))
             both[:, view, at] = weights.view(np.float32)
         return both[0], both[1]
 
@@ -143,7 +132,7 @@ class SparseEvidence(EvidenceOfViews):
 
     def expanded(self, max_bytes: int) -> EvidenceOfViews:
         """`Evidence`, which is faster to read, if it needs at most `max_bytes`; else this."""
-        if 8 * len(self.entries) * self.count > max_bytes:
+        if 8 * math.prod(self.shape) > max_bytes:
             return self
         total, tampered = self.of(slice(None))
         return Evidence(total=total, tampered=tampered)

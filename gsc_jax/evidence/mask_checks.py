@@ -4,14 +4,11 @@ A detector that thresholds the brightness is consistent over the views like a go
 it flags is a region of the scene. False blobs at random places are not.
 """
 
-from collections.abc import Mapping, Sequence
-
 import numpy as np
 
 from gsc_jax.evidence.lifting import EvidenceOfViews
 from gsc_jax.evidence.observation import Observation
 from gsc_jax.render.projection import NEAR
-from gsc_jax.scene import Camera, Gaussians
 from gsc_jax.splat import render
 
 CHECKED = 6
@@ -38,7 +35,7 @@ def properties(image: np.ndarray) -> dict[str, np.ndarray]:
 def doubts(observation: Observation, *, near: float = NEAR) -> list[str]:
     """Reasons why the masks of an observation are no evidence of an edit, as sentences."""
     found = []
-    name = followed_property(observation.gaussians, observation.cameras, observation.masks, near)
+    name = followed_property(observation, near)
     if name is not None:
         found.append(
             f"The masks follow the {name} of the images: one threshold on it separates what they "
@@ -54,18 +51,14 @@ def doubts(observation: Observation, *, near: float = NEAR) -> list[str]:
     return found
 
 
-def followed_property(
-    gaussians: Gaussians,
-    cameras: Sequence[Camera],
-    masks: Mapping[str, np.ndarray],
-    near: float = NEAR,
-) -> str | None:
+def followed_property(observation: Observation, near: float) -> str | None:
     """Name of a property of the image, a threshold on which separates what the masks flag.
 
     One threshold has to serve all of up to `CHECKED` views that are partly flagged, with a balanced
-    accuracy of `MIN_ACCURACY`. The masks, (H, W) bool, are those of the cameras by name.
+    accuracy of `MIN_ACCURACY`.
     """
-    partly = [c for c in cameras if 0.001 < np.mean(masks[c.name]) < 0.999]
+    gaussians, masks = observation.gaussians, observation.masks
+    partly = [c for c in observation.cameras if 0.001 < np.mean(masks[c.name]) < 0.999]
     chosen = partly[:: max(1, -(-len(partly) // CHECKED))]
     if len(chosen) < 2:
         return None

@@ -52,10 +52,8 @@ class Observation:
     @functools.cached_property
     def votes(self) -> Tally:
         """Tally of the votes of all views (GS-Checker, eq. 5), shapes (N,)."""
-        votes = no_votes(len(self.gaussians))
-        for camera in self.cameras:
-            votes += votes_of_view(self.gaussians, camera, self.masks[camera.name])
-        return votes
+        views = (votes_of_view(self.gaussians, c, self.masks[c.name]) for c in self.cameras)
+        return sum(views, no_votes(len(self.gaussians)))
 
 
 def observe(
@@ -99,8 +97,7 @@ def observe(
 
     def detect() -> Iterator[tuple[Camera, View]]:
         # The detector runs in this thread only, since a user's function need not be thread-safe.
-        prepared = bounded_map(pool, prepare, missing)
-        for camera, (view, image) in zip(missing, prepared, strict=True):
+        for camera, (view, image) in zip(missing, bounded_map(pool, prepare, missing), strict=True):
             if not store.has(MAP, camera.name):
                 with monitor.stage("detect"):
                     _judge(detector, image, camera, store)
@@ -118,7 +115,8 @@ def observe(
         lifted = enumerate(bounded_map(pool, lift, detect()), len(cameras) - len(missing) + 1)
         for done, _ in lifted:
             monitor.progress("views", done, len(cameras))
-    evidence = SparseEvidence(entries=_Stored(store, names), count=len(gaussians))
+    shape = len(names), len(gaussians)
+    evidence = SparseEvidence(entry=lambda view: store.get(EVIDENCE, names[view]), shape=shape)
     return Observation(
         gaussians=gaussians,
         cameras=tuple(cameras),
@@ -187,17 +185,3 @@ def half_precision(probability: np.ndarray) -> np.ndarray:
     rounded = probability.astype(np.float16)
     above = np.nextafter(np.float16(0.5), np.float16(1))
     return np.where(probability > 0.5, np.maximum(rounded, above), rounded)
-
-
-@dataclasses.dataclass(frozen=True)
-class _Stored(Sequence[np.ndarray]):
-    """Sparse evidence of views, read when it is asked for."""
-
-    store: ArrayStore
-    names: tuple[str, ...]
-
-    def __getitem__(self, index: int) -> np.ndarray:  # pyright: ignore[reportIncompatibleMethodOverride]
-        return self.store.get(EVIDENCE, self.names[index])
-
-    def __len__(self) -> int:
-        return len(self.names)

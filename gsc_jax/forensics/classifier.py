@@ -7,7 +7,7 @@ adds what the networks do not know of sources that they never saw.
 
 import dataclasses
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 import jax
@@ -16,6 +16,7 @@ import numpy as np
 
 from gsc_jax.forensics.features import Features
 from gsc_jax.forensics.novelty import novelty
+from gsc_jax.scene.parallel import blocks
 
 BLOCK = 2**15
 """Gaussians per call of the networks; one size, so that they compile once."""
@@ -66,26 +67,19 @@ def smoothed_log_odds(features: Features, classifier: Classifier) -> np.ndarray:
     What looks less tampered than the middle of the scene is no less suspicious: a pasted object may
     come from a capture that is nearer to the authentic ones of the training than its host.
     """
-    columns, count = slice(None), len(features.neighbourhoods.nearest)
-    if classifier.names != features.names:  # selecting columns copies all values
-        columns = [features.names.index(name) for name in classifier.names]
-    blocks = (features.rows(slice(start, start + BLOCK)) for start in range(0, count, BLOCK))
-    raw = [raw_log_odds(block, classifier.networks, columns) for block in blocks]
+    same = classifier.names == features.names  # selecting columns copies all values
+    columns = slice(None) if same else [features.names.index(name) for name in classifier.names]
+    parts = blocks(len(features.neighbourhoods.nearest), BLOCK)
+    raw = [raw_log_odds(features.rows(part)[:, columns], classifier.networks) for part in parts]
     raw = np.clip(np.concatenate(raw), -MAX_RAW_LOG_ODDS, MAX_RAW_LOG_ODDS)
     smoothed = features.neighbourhoods.smooth(raw, SMOOTHING_STEPS)
     return np.maximum(smoothed, np.median(smoothed))
 
 
-def raw_log_odds(
-    values: np.ndarray, networks: tuple[Layers, ...], columns: Sequence[int] | slice = slice(None)
-) -> np.ndarray:
-    """Mean output of networks for the given columns of features (N, F), shape (N,) float32."""
-    raw = np.empty(len(values), np.float32)
-    for start in range(0, len(values), BLOCK):
-        block = values[start : start + BLOCK, columns]
-        padded = np.pad(block, ((0, BLOCK - len(block)), (0, 0)))
-        raw[start : start + BLOCK] = np.asarray(_ensemble(networks, padded))[: len(block)]
-    return raw
+def raw_log_odds(values: np.ndarray, networks: tuple[Layers, ...]) -> np.ndarray:
+    """Mean output of networks for features (N, F) of N <= `BLOCK` Gaussians, shape (N,) float32."""
+    padded = np.pad(values, ((0, BLOCK - len(values)), (0, 0)))
+    return np.asarray(_ensemble(networks, padded))[: len(values)]
 
 
 @jax.jit

@@ -6,6 +6,7 @@ together, although the compared attributes do not hold the position. Training cl
 and an export may make them identical, but such clones stay where they were made.
 """
 
+import functools
 from collections.abc import Callable
 
 import numpy as np
@@ -47,15 +48,12 @@ def copy_move(
         similar = _nearest(similarity_invariants(gaussians), INVARIANT_RADIUS)[1]
         means = np.asarray(gaussians.means, np.float64)
         moves = np.maximum(*(moved_together(means, neighbours, rows) for rows in (alike, similar)))
-    score = _region_scores(moves > 0, neighbours)
+    scores = functools.partial(region_scores, min_share=0.6, min_outside=0.6)
+    score = scores(moves > 0, neighbours)
     moves[_clones(score > 0.5, moves > MAX_SPREAD, neighbours)] = 0
-    score = _region_scores(moves > 0, neighbours)
+    score = scores(moves > 0, neighbours)
     found = "occur again elsewhere; where two whole parts are alike, either may be the copy"
     return make_trace("copy-move", score, found, "No part of the scene occurs in it again.")
-
-
-def _region_scores(marked: np.ndarray, neighbours: np.ndarray) -> np.ndarray:
-    return region_scores(marked, neighbours, min_share=0.6, min_outside=0.6)
 
 
 def moved_together(means: np.ndarray, neighbours: np.ndarray, duplicates: np.ndarray) -> np.ndarray:
@@ -130,9 +128,8 @@ def _nearest(described: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarr
 
 def row_hashes(rows: np.ndarray) -> np.ndarray:
     """Hash of each row (N, D) float32, equal for equal rows, shape (N,) uint64."""
-    keys = np.random.default_rng(0).integers(1, 2**63, rows.shape[1], dtype=np.uint64) | np.uint64(
-        1
-    )
+    rng = np.random.default_rng(0)
+    keys = rng.integers(1, 2**63, rows.shape[1], dtype=np.uint64) | np.uint64(1)
 
     def hashes(part: np.ndarray) -> np.ndarray:
         return (part + np.float32(0)).view(np.uint32).astype(np.uint64) @ keys  # -0 is 0

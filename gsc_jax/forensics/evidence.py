@@ -5,7 +5,7 @@ evidence where no masks exist.
 """
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import jax
@@ -26,8 +26,7 @@ from gsc_jax.scene.gaussians import usable_rows
 from gsc_jax.scene.neighbours import order_of_leaves
 
 LOCAL_TRACES = quantisation, sh_degree, quaternion_convention
-TRACES: tuple[Callable[..., Trace], ...] = (copy_move, *LOCAL_TRACES, row_order)
-"""All traces: functions of N Gaussians with finite values and of their neighbours (N, K)."""
+"""Traces that are functions of N Gaussians with finite values and of their neighbours (N, K)."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

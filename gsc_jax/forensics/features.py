@@ -55,17 +55,12 @@ class Features:
     duplicates: np.ndarray
     store: ArrayStore
 
-    @property
-    def values(self) -> np.ndarray:
-        """All values, shape (N, F) float32."""
-        return self.rows(slice(None))
-
     def own(self) -> Iterator[np.ndarray]:
         """Yield the numbers of the Gaussians themselves, `COLUMNS_PER_PASS` at a time, (N, D)."""
         return (self.store.get(SURROUNDINGS[0], str(start)) for start in self._passes)
 
-    def rows(self, rows: slice) -> np.ndarray:
-        """The values of some Gaussians, shape (M, F) float32."""
+    def rows(self, rows: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """The values of some Gaussians, by default of all, shape (M, F) float32."""
         stored = ((label, str(start)) for label in SURROUNDINGS for start in self._passes)
         return np.concatenate([self.store.get(*key)[rows] for key in stored], axis=1)
 

@@ -23,9 +23,8 @@ APPENDED_SCORE = 0.95
 """Score of the rows at the end, whose first one is known only up to a piece."""
 
 
-def row_order(gaussians: Gaussians, neighbours: np.ndarray | None = None) -> Trace:
-    """Detect rows at the end of an unsorted file unlike the rest; needs no neighbours."""
-    del neighbours
+def row_order(gaussians: Gaussians) -> Trace:
+    """Detect rows at the end of an unsorted file unlike the rest."""
     score = np.zeros(len(gaussians), np.float32)
     score[appended_rows(gaussians)] = APPENDED_SCORE
     found = "are the last of the file and differ from all other rows"

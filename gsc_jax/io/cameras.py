@@ -76,7 +76,7 @@ def _find(path: Path) -> Path:
     if not path.exists():
         raise InputError(f"{path}: no such file or folder, expected cameras; check the path")
     if not path.is_dir():
-        return path
+        return path.parent if path.name in MODEL_FILES else path
     if (path / "cameras.json").is_file():
         return path / "cameras.json"
     found = [path / name for name in TRANSFORMS_FILES if (path / name).is_file()]
@@ -91,8 +91,6 @@ def _find(path: Path) -> Path:
 def _read(source: Path, max_bytes: int | None) -> list[Camera]:
     if source.is_dir():
         return read_colmap(source, max_bytes=max_bytes)
-    if source.name in MODEL_FILES:
-        return read_colmap(source.parent, max_bytes=max_bytes)
     data = None
     if source.suffix.lower() == ".json":
         data = read_table(source, remedy="export the cameras again", max_bytes=max_bytes)

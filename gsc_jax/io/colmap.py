@@ -13,7 +13,7 @@ import numpy as np
 
 from gsc_jax.io.files import check_allocation, existing_file
 from gsc_jax.io.json_cameras import pinhole
-from gsc_jax.io.validation import brief, shown
+from gsc_jax.io.validation import reported, shown
 from gsc_jax.scene import Camera, InputError
 
 MODEL_FILES = ("cameras.bin", "cameras.txt", "images.bin", "images.txt")
@@ -65,19 +65,13 @@ def read_colmap(folder: Path, *, max_bytes: int | None = None) -> list[Camera]:
     binary = all((folder / f"{kind}.bin").exists() for kind in ("cameras", "images"))
     read_cameras, read_images = _BINARY if binary else _TEXT
     files = [folder / f"{kind}.{'bin' if binary else 'txt'}" for kind in ("cameras", "images")]
-    file = files[0]
-    try:
-        size = sum(existing_file(f, expected=EXPECTED).stat().st_size for f in files)
-        check_allocation(folder, BYTES_PER_BYTE[binary] * size, max_bytes)
-        intrinsics = dict(read_cameras(file))
-        file = files[1]
-        images = sorted(read_images(file))
-    except InputError:
-        raise
-    except (OSError, ValueError, LookupError, OverflowError, struct.error) as error:
-        raise InputError(
-            f"{file}: missing or damaged ({brief(error)}), expected {EXPECTED}; export it again"
-        ) from error
+    size = sum(existing_file(file, expected=EXPECTED).stat().st_size for file in files)
+    check_allocation(folder, BYTES_PER_BYTE[binary] * size, max_bytes)
+    remedy = f", expected {EXPECTED}; export it again"
+    with reported(f"{files[0]}: missing or damaged", remedy):
+        intrinsics = dict(read_cameras(files[0]))
+    with reported(f"{files[1]}: missing or damaged", remedy):
+        images = sorted(read_images(files[1]))
     return [_camera(image, intrinsics.get(image.camera_id), folder) for image in images]
 
 

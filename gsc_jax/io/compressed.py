@@ -18,7 +18,7 @@ import numpy as np
 
 from gsc_jax.io.files import check_allocation
 from gsc_jax.io.tables import BYTES_PER_CHARACTER
-from gsc_jax.io.validation import brief, shown
+from gsc_jax.io.validation import reported, shown
 from gsc_jax.io.web_formats import read_glb, read_splat
 from gsc_jax.scene import Gaussians, InputError
 
@@ -57,7 +57,7 @@ def read_compressed(path: Path, max_bytes: int | None = None) -> Gaussians:
         raise InputError(f"{path}: .ksplat files are not supported; {_conversion(path)}")
     check_allocation(path, BYTES_PER_BYTE * path.stat().st_size, max_bytes)
     gsply = None if kind in READERS else _gsply(path)
-    try:
+    with reported(f"{path}: damaged or unknown", f"; {_conversion(path)}"):
         if gsply is None:
             return READERS[kind](path, max_bytes)
         if kind == ".spz":
@@ -67,11 +67,6 @@ def read_compressed(path: Path, max_bytes: int | None = None) -> Gaussians:
             _check_sog(path, max_bytes)
             return from_gsply(gsply.sogread(path))
         return from_gsply(gsply.decompress_from_bytes(path.read_bytes()))
-    except InputError:
-        raise
-    except Exception as error:  # a decoder may raise anything on damaged bytes
-        text = f"{path}: damaged or unknown ({brief(error)}); {_conversion(path)}"
-        raise InputError(text) from error
 
 
 def _gsply(path: Path) -> Any:
@@ -175,13 +170,9 @@ def _check_sog_tables(meta: dict[str, Any]) -> None:
 def from_gsply(data: Any) -> Gaussians:
     """Gaussians of a `gsply.GSData`."""
     bands = [data.sh0[:, None]] + ([] if data.shN is None else [data.shN])
-    return Gaussians(
-        means=np.asarray(data.means, np.float32),
-        log_scales=np.asarray(data.scales, np.float32),
-        quats=np.asarray(data.quats, np.float32),
-        logit_opacities=np.asarray(data.opacities, np.float32).reshape(-1),
-        sh=np.concatenate(bands, axis=1, dtype=np.float32),
-    )
+    columns = {"means": data.means, "log_scales": data.scales, "quats": data.quats}
+    columns |= {"logit_opacities": data.opacities.ravel(), "sh": np.concatenate(bands, axis=1)}
+    return Gaussians(**{name: np.asarray(c, np.float32) for name, c in columns.items()})
 
 
 def _conversion(path: Path) -> str:

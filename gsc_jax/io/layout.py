@@ -37,7 +37,13 @@ def decode(vertex: "PlyElement", path: Path) -> Gaussians:
     `f_rest_*` that fits no degree 0 to 3, raise InputError of the path.
     """
     scales = SCALE if SCALE[2] in vertex else SCALE[:2]
-    rest = _rest_names(vertex, path)
+    count = sum(prop.name.startswith("f_rest_") for prop in vertex.properties)
+    if count not in REST_COUNTS:
+        raise InputError(
+            f"{path}: has {count} f_rest properties, expected 0, 9, 24 or 45 (spherical harmonics "
+            "of degree 0 to 3); export the scene again"
+        )
+    rest = REST[:count]
     _check_numeric(vertex, (*POSITION, *DC, "opacity", *scales, *ROTATION, *rest), path)
     log_scales = _columns(vertex, scales)
     if len(scales) == 2:
@@ -59,22 +65,11 @@ def encode(gaussians: Gaussians) -> "PlyData":
     from plyfile import PlyData, PlyElement
 
     host = jax.tree.map(np.asarray, gaussians)
-    rests = 3 * host.sh.shape[1] - 3
-    names = [*POSITION, *NORMAL, *DC, *REST[:rests]]
-    names += ["opacity", *SCALE, *ROTATION]
-    table = np.zeros((len(host), len(names)), "<f4")  # filled in place: a scene may fill the memory
-    parts = {
-        "x": host.means,
-        "f_dc_0": host.sh[:, 0],
-        "opacity": host.logit_opacities[:, None],
-        "scale_0": host.log_scales,
-        "rot_0": host.quats,
-    }
-    for first, values in parts.items():
-        table[:, names.index(first) :][:, : values.shape[1]] = values
-    for channel in range(3):
-        first = names.index("opacity") - rests + channel * rests // 3
-        table[:, first : first + rests // 3] = host.sh[:, 1:, channel]
+    normals, first, rest = np.zeros_like(host.means), host.sh[:, 0], host.sh[:, 1:]
+    columns = [host.means, normals, first, *np.moveaxis(rest, 2, 0)]
+    columns += [host.logit_opacities[:, None], host.log_scales, host.quats]
+    table = np.ascontiguousarray(np.concatenate(columns, axis=1, dtype="<f4"))
+    names = [*POSITION, *NORMAL, *DC, *REST[: 3 * rest.shape[1]], "opacity", *SCALE, *ROTATION]
     data = table.view([(name, "<f4") for name in names]).reshape(len(table))
     return PlyData([PlyElement.describe(data, "vertex")], byte_order="<")
 
@@ -90,16 +85,6 @@ def checked_scores(path: str | Path, tamper: Array, count: int) -> np.ndarray:
             f"{scores.dtype} of shape {scores.shape}; correct the scores"
         )
     return real
-
-
-def _rest_names(vertex: "PlyElement", path: Path) -> tuple[str, ...]:
-    count = sum(prop.name.startswith("f_rest_") for prop in vertex.properties)
-    if count not in REST_COUNTS:
-        raise InputError(
-            f"{path}: has {count} f_rest properties, expected 0, 9, 24 or 45 (spherical harmonics "
-            "of degree 0 to 3); export the scene again"
-        )
-    return REST[:count]
 
 
 def _check_numeric(vertex: "PlyElement", names: tuple[str, ...], path: Path) -> None:

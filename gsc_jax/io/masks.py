@@ -1,10 +1,9 @@
 """Masks and probability maps as image files, read as float32 in [0, 1].
 
 A mask is grey: black is authentic, white is tampered, levels between them are probabilities.
-Colour, alpha and palettes are accepted where they have only one meaning. One file does not show
-whether levels 0 and 1 of 8 bits are a 0/1 mask or the two darkest probabilities; see
-`read_probability` for the default. `gsc_jax.detectors.folder` decides once for a whole folder.
-Files written here preserve `p > 0.5` exactly.
+One file does not show whether levels 0 and 1 of 8 bits are a 0/1 mask or the two darkest
+probabilities; `gsc_jax.detectors.folder` decides once for a whole folder. Files written here
+preserve `p > 0.5` exactly.
 """
 
 import contextlib
@@ -16,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gsc_jax.io.files import atomic, check_allocation, existing_file
-from gsc_jax.io.validation import shown
+from gsc_jax.io.validation import reported, shown
 from gsc_jax.scene import InputError
 
 if TYPE_CHECKING:
@@ -138,20 +137,14 @@ def image_path(folder: str | Path, name: str) -> Path:
 
 def _read_pixels(path: Path, max_bytes: int | None) -> np.ndarray:
     """Pixels of an image file: grey levels or colours, with alpha as the last channel."""
-    try:
-        with open_image(path) as image:
-            needed = BYTES_PER_PIXEL * image.width * image.height
-            check_allocation(path, needed, max_bytes)
-            if _has_second_frame(image):
-                raise InputError(f"{path}: holds several pages or frames, expected one; save one")
-            return _decoded(image)
-    except InputError:
-        raise
-    except Exception as error:  # the decoders have no common base class for damaged files
-        raise InputError(
-            f"{path}: cannot be read as an image, expected a grey PNG; it may be cut short or of "
-            "another format: write it again"
-        ) from error
+    expected = ", expected a grey PNG; it may be cut short or of another format: write it again"
+    with reported(f"{path}: cannot be read as an image", expected), open_image(path) as image:
+        check_allocation(path, BYTES_PER_PIXEL * image.width * image.height, max_bytes)
+        with contextlib.suppress(EOFError):
+            image.seek(1)
+            raise InputError(f"{path}: holds several pages or frames, expected one; save one")
+        image.seek(0)
+        return _decoded(image)
 
 
 @contextlib.contextmanager
@@ -184,15 +177,6 @@ def _decoded(image: "PIL.Image.Image") -> np.ndarray:
     level = np.array(transparent) * TRANSPARENT_LEVEL.get(str(rawmode), 1)
     pixels[np.atleast_3d(pixels == level.astype(int)).all(axis=2)] = 0
     return pixels
-
-
-def _has_second_frame(image: "PIL.Image.Image") -> bool:
-    try:
-        image.seek(1)
-    except EOFError:
-        image.seek(0)
-        return False
-    return True
 
 
 def _grey(pixels: np.ndarray, path: Path) -> np.ndarray:

@@ -20,7 +20,7 @@ import numpy as np
 from gsc_jax.io import compressed
 from gsc_jax.io.files import atomic, check_allocation, existing_file
 from gsc_jax.io.layout import REST_COUNTS, checked_scores, decode, encode
-from gsc_jax.io.validation import brief, shown
+from gsc_jax.io.validation import brief, reported, shown
 from gsc_jax.scene import Array, Gaussians, InputError, invalid_rows
 from gsc_jax.scene.gaussians import usable_rows
 from gsc_jax.scene.parallel import blocks
@@ -186,24 +186,19 @@ def save_parts(
 def _parse(path: Path, max_bytes: int | None) -> "PlyData":
     from plyfile import PlyData, PlyElementParseError
 
-    try:
+    expected = "; expected the .ply of a 3D Gaussian splatting model"
+    with reported(f"{path}: not a PLY file that can be read", expected):
         _check_header(path, max_bytes)
-        # Text values beyond float32 become infinite; `invalid_rows` judges their rows.
-        with np.errstate(over="ignore"):
-            ply = PlyData.read(path)
-    except PlyElementParseError as error:
-        promised = f"; its header promises {error.element.count}" if error.element else ""
-        reason = brief(error) + promised
-        raise InputError(
-            f"{path}: damaged or cut short ({reason}); copy or export the file again"
-        ) from error
-    except InputError:
-        raise
-    except Exception as error:  # a damaged header may make plyfile or NumPy raise anything
-        raise InputError(
-            f"{path}: not a PLY file that can be read ({brief(error)}); expected the .ply of a "
-            "3D Gaussian splatting model"
-        ) from error
+        try:
+            # Text values beyond float32 become infinite; `invalid_rows` judges their rows.
+            with np.errstate(over="ignore"):
+                ply = PlyData.read(path)
+        except PlyElementParseError as error:
+            promised = f"; its header promises {error.element.count}" if error.element else ""
+            reason = brief(error) + promised
+            raise InputError(
+                f"{path}: damaged or cut short ({reason}); copy or export the file again"
+            ) from error
     for element in ply.elements:
         # plyfile maps the file into memory; a copy stays valid when the file changes.
         element.data = np.array(element.data)

@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from gsc_jax.io.files import check_allocation, existing_file
-from gsc_jax.io.validation import brief
-from gsc_jax.scene import InputError
+from gsc_jax.io.validation import reported
 
 BYTES_PER_CHARACTER = 40
 """Memory of a parsed tree per byte of text: an empty dictionary has 64 bytes for "{},"."""
@@ -27,16 +26,12 @@ def read_table(path: Path, *, remedy: str, max_bytes: int | None = None) -> Any:
     InputError, whose message ends with the `remedy`.
     """
     suffix = ".toml" if path.suffix.lower() == ".toml" else ".json"
-    existing_file(path, expected=suffix[1:].upper())
-    try:
+    kind = suffix[1:].upper()
+    existing_file(path, expected=kind)
+    with reported(f"{path}: not valid {kind}", f"; {remedy}"):
         check_allocation(path, BYTES_PER_CHARACTER * path.stat().st_size, max_bytes)
         content = PARSERS[suffix](path.read_text(encoding="utf-8-sig"))
         _check_tree(content, MAX_DEPTH)
-    except InputError:
-        raise
-    except (OSError, ValueError, RecursionError, MemoryError) as error:
-        kind = suffix[1:].upper()
-        raise InputError(f"{path}: not valid {kind} ({brief(error)}); {remedy}") from error
     return content
 
 

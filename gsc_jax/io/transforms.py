@@ -6,7 +6,6 @@ precedence. A focal length is `fl_x` or follows from `camera_angle_x`; without `
 is read from the image file if that lies in the folder of the transforms.json.
 """
 
-import functools
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
@@ -56,11 +55,12 @@ def read_transforms(data: Mapping[str, Any], path: Path) -> list[Camera]:
     known = {*_Frame.model_fields, *DISTORTION, "camera_model"}
     shared = {key: data[key] for key in known & data.keys()}
     items = [{**shared, **frame} if isinstance(frame, dict) else frame for frame in frames]
-    construct = functools.partial(_camera, folder=path.parent)
-    return construct_cameras(items, construct, place=f"{path}: frame", name_key="file_path")
+    return construct_cameras(
+        items, lambda item: _camera(item, path.parent), place=f"{path}: frame", name_key="file_path"
+    )
 
 
-def _camera(item: Any, *, folder: Path) -> Camera:
+def _camera(item: Any, folder: Path) -> Camera:
     frame = _Frame.model_validate(item)
     _check_undistorted(item)
     size = (frame.w, frame.h) if frame.w and frame.h else _image_size(folder, frame.file_path)

@@ -1,11 +1,14 @@
 """Errors of pydantic as one line that names the file, the key, what was expected and found."""
 
+import contextlib
 import difflib
 import reprlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import pydantic
+
+from gsc_jax.scene import InputError
 
 SHOWN_CHARACTERS, MESSAGE_CHARACTERS = 80, 250
 NO_TABLE = ("model_type", "dataclass_type")
@@ -68,6 +71,20 @@ def brief(error: Exception) -> str:
     """The message of an exception of another library, on one line that is not too long."""
     text = " ".join(str(error).split()) or type(error).__name__
     return text if len(text) <= MESSAGE_CHARACTERS else f"{text[:MESSAGE_CHARACTERS]}..."
+
+
+@contextlib.contextmanager
+def reported(before: str, after: str) -> Iterator[None]:
+    """Report an error of another library as an InputError: its message in brackets between these.
+
+    Decoders raise anything on damaged bytes, and have no common base class of their errors.
+    """
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        raise InputError(f"{before} ({brief(error)}){after}") from error
 
 
 def _located(location: Sequence[int | str], given: Any) -> tuple[str, Any]:

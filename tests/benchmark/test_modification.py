@@ -26,7 +26,7 @@ def test_a_uniform_scaling_is_a_similarity():
     scene = random_scene(30, degree=0)
     axis = np.array([0.6, 0.0, 0.8])
     region = dataclasses.replace(grown(), center=np.zeros(3), radius=0.0, towards=axis)
-    scaled = modification.warp_gaussians(scene, modification.scaling(region, 2.0))
+    scaled = modification.warp_gaussians(scene, lambda x: modification.scaling(x, region, 2.0))
     np.testing.assert_allclose(scaled.means, 2 * scene.means, rtol=1e-5)
     # Axes keep their order and sign; otherwise the stored numbers would reveal the edit.
     np.testing.assert_allclose(scaled.log_scales, scene.log_scales + np.log(2), atol=1e-4)
@@ -39,7 +39,7 @@ def test_a_uniform_scaling_is_a_similarity():
 def test_a_warp_moves_the_middle_and_not_the_border(warp):
     region = dataclasses.replace(grown(), center=np.array([0.0, 0, 3]), radius=0.5, towards=UP)
     scene = random_scene(400)
-    after = modification.warp_gaussians(scene, warp(region, 0.7))
+    after = modification.warp_gaussians(scene, lambda x: warp(x, region, 0.7))
     across = np.linalg.norm((scene.means - region.center)[:, [0, 2]], axis=1)
     moved = np.linalg.norm(after.means - scene.means, axis=1)
     middle = (across < 0.4) & (across > 0.1)

@@ -59,7 +59,7 @@ def dense(draw):
 def test_sparse_evidence_reads_as_the_dense_one(evidence, data):
     views, count = evidence.shape
     entries = [sparse(view) for view in evidence.views()]
-    thin = SparseEvidence(entries=entries, count=count)
+    thin = SparseEvidence(entry=entries.__getitem__, shape=(views, count))
     assert thin.shape == evidence.shape
     for name in ("total", "tampered", "seen", "weight", "none_flagged", "all_flagged"):
         assert np.array_equal(getattr(thin, name), getattr(evidence, name)), name

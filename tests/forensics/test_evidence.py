@@ -6,7 +6,7 @@ import jax
 import numpy as np
 import pytest
 from export import export
-from forensics_cases import BASE, PEAK, changed, classified, evidence_of, two_groups
+from forensics_cases import BASE, PEAK, TRACES, changed, classified, evidence_of, two_groups
 from scipy.special import expit, logit
 
 from gsc_jax import locate
@@ -14,7 +14,6 @@ from gsc_jax.benchmark.metrics import auc, truth_mask
 from gsc_jax.benchmark.scenes import make_room, tampered_room
 from gsc_jax.forensics.calibration import LEVEL_BESIDE_TRACES, MAX_LOG_ODDS
 from gsc_jax.forensics.evidence import (
-    TRACES,
     add_traces,
     combine,
     estimate_from_attributes,

@@ -19,13 +19,14 @@ from gsc_jax.forensics.features import (
 
 ROOM = make_room(count=2_000, seed=3)
 FEATURES = compute_features(ROOM)
+VALUES = FEATURES.rows()
 
 
 def test_features_are_finite_bounded_and_named():
-    assert FEATURES.values.shape == (len(ROOM), len(FEATURES.names))
-    assert FEATURES.values.dtype == np.float32
-    assert np.isfinite(FEATURES.values).all()
-    assert np.abs(FEATURES.values).max() <= MAX_DEVIATION + 1e-5
+    assert VALUES.shape == (len(ROOM), len(FEATURES.names))
+    assert VALUES.dtype == np.float32
+    assert np.isfinite(VALUES).all()
+    assert np.abs(VALUES).max() <= MAX_DEVIATION + 1e-5
     assert len(set(FEATURES.names)) == len(FEATURES.names)
     assert in_group(FEATURES.names, "size").sum() == 5 * 5
 
@@ -34,8 +35,8 @@ def test_features_are_finite_bounded_and_named():
 @given(st.integers(0, 2**32 - 1))
 def test_permuting_rows_permutes_features(seed):
     order = np.random.default_rng(seed).permutation(len(ROOM))
-    permuted = compute_features(ROOM.take(order)).values
-    np.testing.assert_allclose(permuted, FEATURES.values[order], atol=2e-3)
+    permuted = compute_features(ROOM.take(order)).rows()
+    np.testing.assert_allclose(permuted, VALUES[order], atol=2e-3)
 
 
 @pytest.mark.parametrize("scale", [0.01, 30.0])
@@ -44,7 +45,7 @@ def test_similarities_of_the_scene_change_nothing(scale):
     moved = compute_features(transformed(ROOM, rotation, scale, np.array([3, -2, 5.0]) * scale))
     # Duplicates compare stored rotations, which depend on the frame.
     same = ~in_group(FEATURES.names, "copies")
-    difference = np.abs(moved.values - FEATURES.values)[:, same]
+    difference = np.abs(moved.rows() - VALUES)[:, same]
     assert np.quantile(difference, 0.999) < 0.05
 
 

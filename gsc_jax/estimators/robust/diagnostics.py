@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gsc_jax.estimators.protocol import DISAGREEMENT, NONE_FLAGGED, Prior, Reliability
+from gsc_jax.estimators.protocol import DISAGREEMENT, Prior, Reliability
 from gsc_jax.estimators.robust.class_roles import FULL_VIEW, Roles
 from gsc_jax.evidence.lifting import EvidenceOfViews
 
@@ -28,11 +28,6 @@ def reliability(
     words = np.where(2 * flagged > total, "reliable", "uninformative")
     words = np.where(2 * total > FULL_VIEW * total.max(initial=0.0), words, "unseen")
     return tuple(np.where(roles.inverted, "inverted", words).tolist())
-
-
-def no_masks(labels: np.ndarray) -> list[str]:
-    """Warning for masks that are all empty."""
-    return [NONE_FLAGGED + FROM_PRIOR * bool(labels.any())]
 
 
 def warnings(

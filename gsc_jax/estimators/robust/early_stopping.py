@@ -47,9 +47,8 @@ def observe_until_stable(
     observe: Callable[[Sequence[Camera]], Observation],
     cameras: Sequence[Camera],
     estimator: Estimator,
-    *,
-    prior: Prior | None = None,
-    monitor: Monitor | None = None,
+    prior: Prior | None,
+    monitor: Monitor,
 ) -> tuple[Observation, Finding, EarlyStopping]:
     """Observe growing batches of views until the labels are stable.
 
@@ -60,7 +59,7 @@ def observe_until_stable(
         prior: Probability per Gaussian from another source.
         monitor: Records the time of the estimates and the progress over views.
     """
-    order, monitor = [cameras[k] for k in spread(len(cameras))], monitor or Monitor()
+    order = [cameras[k] for k in spread(len(cameras))]
     changes, before = [], None
     for end in batches(len(order)):
         with monitor.expecting(len(order)):

@@ -15,7 +15,7 @@ import dataclasses
 
 import numpy as np
 
-from gsc_jax.estimators.protocol import MAX_SEED, Estimator, Finding, Prior, check_fields, unanimous
+from gsc_jax.estimators.protocol import NONE_FLAGGED, Estimator, Finding, Prior, unanimous
 from gsc_jax.estimators.robust import diagnostics
 from gsc_jax.estimators.robust.class_roles import Roles, assign_roles, scene_probability
 from gsc_jax.estimators.robust.gaussian_visibility import (
@@ -24,7 +24,7 @@ from gsc_jax.estimators.robust.gaussian_visibility import (
     summed_visibility,
     visibility,
 )
-from gsc_jax.estimators.robust.latent_classes import Fit, fit_classes
+from gsc_jax.estimators.robust.latent_classes import fit_classes
 from gsc_jax.estimators.robust.mean_field import smooth
 from gsc_jax.estimators.robust.prior_fusion import fuse, log_odds_of
 from gsc_jax.evidence.lifting import EvidenceOfViews
@@ -32,20 +32,16 @@ from gsc_jax.evidence.masks import MaskRule
 from gsc_jax.evidence.observation import Observation
 from gsc_jax.render.projection import NEAR
 from gsc_jax.scene import Array
-from gsc_jax.scene.errors import BELOW_1
 from gsc_jax.scene.parallel import blocks
 
 RANGES: dict[str, tuple[float, float]] = {
     "sample": (1, 10**9),
-    "seed": (0, MAX_SEED),
     # All starts run at once; memory grows with their number, and with that of the neighbours.
     **dict.fromkeys(("restarts", "neighbours"), (1, 1000)),
-    **dict.fromkeys(("half_weight", "effective_pixels", "class_log_odds", "near"), (1e-9, 1e9)),
+    **dict.fromkeys(("half_weight", "effective_pixels", "class_log_odds"), (1e-9, 1e9)),
     "smoothing": (0.0, 1e9),
-    "prior_weight": (0.0, 1.0),
-    **dict.fromkeys(("min_verdict", "tolerance", "threshold"), (0.0, BELOW_1)),
 }
-"""Smallest and largest valid value of the numeric fields; integers where the field is one."""
+"""Smallest and largest value of further numeric fields; whole numbers where the field is one."""
 MAX_CLASSES = 100
 """Largest candidate number of classes; ten times what any scene of the tables has."""
 
@@ -103,17 +99,12 @@ class RobustEstimator(Estimator):
 
     def __post_init__(self) -> None:
         """Check the fields."""
-        check_fields(self, RANGES)
+        self.check_fields(RANGES)
         valid = isinstance(self.classes, tuple) and self.classes
         if not valid or not all(count in range(2, MAX_CLASSES + 1) for count in self.classes):
             raise ValueError(
                 f"classes must be a tuple of integers from 2 to {MAX_CLASSES}, got {self.classes}"
             )
-
-    @property
-    def uses_prior(self) -> bool:
-        """Whether a prior changes the finding."""
-        return self.prior_weight > 0
 
     def estimate(self, observation: Observation, prior: Prior | None = None) -> Finding:
         """Compute scores, labels, the scene probability and the reliability of every mask.
@@ -148,7 +139,7 @@ class RobustEstimator(Estimator):
             attribute=np.where(known, log_odds_of(probability), 0.0).astype(np.float32),
             verdict=verdict,
             reliability=diagnostics.reliability(evidence, labels, lifted.roles),
-            warnings=diagnostics.no_masks(labels)
+            warnings=[NONE_FLAGGED + diagnostics.FROM_PRIOR * bool(labels.any())]
             if trivial
             else diagnostics.warnings(lifted.roles, agreed, labels, (from_masks, verdict), prior),
         )
@@ -164,17 +155,11 @@ class RobustEstimator(Estimator):
         """
         seen_sum, flagged_sum = summed_visibility(evidence, self.half_weight)
         seen = seen_sum > 0
-        nothing = MaskEstimate(probability=np.zeros(len(seen), np.float32), seen=seen)
-        if not (flagged and seen.any()):
-            return nothing
-        sample = stratified_sample(seen_sum, flagged_sum, self.sample)
-        fit, roles = self._classify(evidence, *sample)
-        count = int(np.count_nonzero(fit.classes.shares))
-        estimate = dataclasses.replace(
-            nothing, roles=roles, classes=count, iterations=int(fit.iterations.max())
-        )
+        roles = None
+        if flagged and seen.any():
+            roles = self._roles(evidence, *stratified_sample(seen_sum, flagged_sum, self.sample))
         if roles is None:
-            return estimate
+            return MaskEstimate(probability=np.zeros(len(seen), np.float32), seen=seen)
         logits = -self.class_log_odds * pattern_distance(evidence, roles, self.half_weight)
         class_probability = smooth(
             logits, roles.tampered, means, seen, strength=self.smoothing, neighbours=self.neighbours
@@ -183,11 +168,11 @@ class RobustEstimator(Estimator):
         kinds = roles.tampered, ~roles.tampered
         tampered, other = (class_probability[:, kind].max(axis=1) for kind in kinds)
         probability = np.where(seen, tampered / (tampered + other), 0.0).astype(np.float32)
-        return dataclasses.replace(estimate, probability=probability)
+        return MaskEstimate(probability=probability, seen=seen, roles=roles)
 
-    def _classify(
+    def _roles(
         self, evidence: EvidenceOfViews, sample: np.ndarray, represents: np.ndarray
-    ) -> tuple[Fit, Roles | None]:
+    ) -> Roles | None:
         """Fit latent classes to sampled Gaussians (S,) and assign their roles."""
         seen, flagged = visibility(evidence, sample, self.half_weight)
         fit = fit_classes(
@@ -199,13 +184,12 @@ class RobustEstimator(Estimator):
         )
         used = np.asarray(fit.classes.shares) > 0
         members = np.asarray(fit.responsibilities)[used] * represents
-        roles = assign_roles(
+        return assign_roles(
             np.asarray(fit.classes.rates)[used],
             members @ seen.T,
             inversion=self.inversion,
             distractors=self.distractors,
         )
-        return fit, roles
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -216,15 +200,11 @@ class MaskEstimate:
         probability: Probability of tampering, given an edit, shape (N,) float32; 0 if unseen.
         seen: Mask of the Gaussians visible in at least one view, shape (N,) bool.
         roles: Roles of the latent classes; None if there is only one class.
-        classes: Number of classes that the criterion chose.
-        iterations: EM iterations of the slowest start.
     """
 
     probability: np.ndarray
     seen: np.ndarray
     roles: Roles | None = None
-    classes: int = 0
-    iterations: int = 0
 
 
 def pattern_distance(evidence: EvidenceOfViews, roles: Roles, half_weight: float) -> np.ndarray:

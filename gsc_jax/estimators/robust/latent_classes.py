@@ -129,9 +129,8 @@ def _maximise(responsibilities: Array, flagged: Array, clear: Array, used: Array
     positive, negative = responsibilities @ flagged.T, responsibilities @ clear.T
     rates = (positive + 0.5) / (positive + negative + 1.0)
     members = used * (jnp.sum(responsibilities, axis=1) + 1.0)
-    return Classes(
-        rates=jnp.clip(rates, RATE_FLOOR, 1 - RATE_FLOOR), shares=members / jnp.sum(members)
-    )
+    rates = jnp.clip(rates, RATE_FLOOR, 1 - RATE_FLOOR)
+    return Classes(rates=rates, shares=members / jnp.sum(members))
 
 
 def _start_rates(flagged: Array, clear: Array, count: int, key: Array) -> Array:

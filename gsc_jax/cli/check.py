@@ -4,18 +4,17 @@ import dataclasses
 import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 import tyro
 
 from gsc_jax.cli.options import Switch, arg
-from gsc_jax.cli.ownership import has_mark
 from gsc_jax.forensics.copy_move import row_hashes
 from gsc_jax.io.compressed import SUFFIXES
 from gsc_jax.io.files import memory_limit
 from gsc_jax.io.layout import DC, NORMAL, POSITION, REST, ROTATION, SCALE
-from gsc_jax.io.ply import PlyScene, read_ply
+from gsc_jax.io.ply import MAX_HEADER_BYTES, PlyScene, read_ply
 from gsc_jax.render.spherical_harmonics import Y0
 from gsc_jax.render.visibility import scale_warnings
 from gsc_jax.scene import Gaussians, InputError
@@ -72,32 +71,36 @@ def run_check(options: Check, *, say: Callable[[str], None]) -> tuple[list[str],
 
     With --json, the error is printed as JSON, too, with `say`.
     """
-    path = options.scene
+    path, limit = options.scene, memory_limit(options.memory)
+    facts: dict[str, Any] = {"file": str(path), "usable": False}
+    facts |= dict.fromkeys(("format", "rows", "gaussians", "sh_degree", "error"))
     try:
-        scene = read_ply(path, max_bytes=memory_limit(options.memory))
+        scene = read_ply(path, max_bytes=limit)
     except InputError as error:
         if options.json:
-            failed = {"file": str(path), "usable": False, "problems": [], "error": str(error)}
-            for line in json.dumps(failed, indent=2).splitlines():
+            report = {**facts, "problems": [], "error": str(error)}
+            for line in json.dumps(report, indent=2).splitlines():
                 say(line)
         raise
     problems = [*layout_problems(scene.ply), *row_problems(scene)]
-    facts = {
-        "format": _format(path, scene.ply),
-        "rows": scene.total,
-        "gaussians": len(scene.rows),
-        "sh_degree": scene.gaussians.sh_degree,
-    }
+    facts |= {"usable": True, "format": _format(path, scene.ply), "rows": scene.total}
+    facts |= {"gaussians": len(scene.rows), "sh_degree": scene.gaussians.sh_degree}
     if options.json:
-        found = [problem._asdict() for problem in problems]
-        report = {"file": str(path), "usable": True, **facts, "problems": found, "error": None}
+        report = {**facts, "problems": [problem._asdict() for problem in problems]}
         return json.dumps(report, indent=2).splitlines(), []
-    counts = [sum(p.level == level for p in problems) for level in ("warning", "note")]
+    counts = [_count(sum(p.level == x for p in problems), x) for x in ("warning", "note")]
     return [
-        f"{path}: can be used; {counts[0]} warnings, {counts[1]} notes",
+        f"{path}: can be used; {', '.join(counts)}",
         f"format   {facts['format']}, {scene.total:,} rows, degree {facts['sh_degree']}",
-        *(f"{p.level:8} {f'{p.rows:,} rows: ' if p.rows else ''}{p.text}" for p in problems),
+        *(
+            f"{p.level:8} {_count(p.rows, 'row') + ': ' if p.rows else ''}{p.text}"
+            for p in problems
+        ),
     ], []
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number:,} {noun}{'' if number == 1 else 's'}"
 
 
 def layout_problems(ply: "PlyData") -> Iterator[Problem]:
@@ -117,20 +120,23 @@ def layout_problems(ply: "PlyData") -> Iterator[Problem]:
         text = "the order of the properties is not that of INRIA; readers by position misread it"
         yield Problem("warning", "order", 0, text)
     elif not set(NORMAL) <= set(names):
-        text = "has no normals, which INRIA's viewer expects between positions and colours"
-        yield Problem("note", "normals", 0, text)
+        text = "has no normals; INRIA's viewer, which reads by position, misreads every row"
+        yield Problem("warning", "normals", 0, text)
     if SCALE[2] not in names:
         yield Problem("warning", "discs", 0, "is a 2DGS file; viewers of 3DGS miss scale_2")
-    others = [element.name for element in ply.elements if element is not vertex]
-    if other or others:
-        text = f"has what viewers ignore, and programs may drop: {', '.join([*other, *others])}"
-        yield Problem("note", "unknown", 0, text)
+    if other:
+        text = (
+            f"has more properties ({', '.join(other)}); INRIA's viewer misreads every row, others"
+        )
+        yield Problem("warning", "unknown", 0, f"{text} ignore or drop them")
+    if others := [element.name for element in ply.elements if element is not vertex]:
+        yield Problem("note", "elements", 0, f"viewers ignore its elements {', '.join(others)}")
 
 
 def row_problems(scene: PlyScene) -> Iterator[Problem]:
     """Gaussians that cannot be rendered, and extreme values among the others."""
     for reason, count in scene.dropped.items():
-        text = f"{reason}; left out here, in viewers it may hide the scene or end the program"
+        text = f"{reason}; gsc-jax ignores such a row, a viewer may show nothing or crash"
         yield Problem("warning", reason, count, text)
     gaussians = scene.gaussians
     means = np.asarray(gaussians.means, np.float64)
@@ -150,11 +156,10 @@ def _extremes(
 ) -> Iterator[tuple[Literal["warning", "note"], str, np.ndarray, str]]:
     """Level, name, rows (N,) bool, and what they mean."""
     middle, ends = np.median(means, axis=0), np.percentile(means, [1, 99], axis=0)
-    spread = max(float(np.linalg.norm(ends[1] - ends[0])), 1e-30)
-    with np.errstate(over="ignore"):
-        scales = np.sort(np.exp(np.asarray(gaussians.log_scales, np.float64)), axis=1)
-        length = np.linalg.norm(np.asarray(gaussians.quats, np.float64), axis=1)
-        ratio = scales[:, 2] / np.maximum(scales[:, 1], 1e-30)
+    scales = np.sort(np.exp(np.asarray(gaussians.log_scales, np.float64)), axis=1)
+    spread = max(*np.linalg.norm(np.diff(ends, axis=0), axis=1), 3 * np.median(scales[:, 2]), 1e-30)
+    length = np.linalg.norm(np.asarray(gaussians.quats, np.float64), axis=1)
+    ratio = scales[:, 2] / np.maximum(scales[:, 1], 1e-30)
     rgb = 0.5 + Y0 * np.asarray(gaussians.sh)[:, 0]
     hashes = np.zeros(len(means), np.uint64)
     for values in vars(gaussians).values():
@@ -171,14 +176,17 @@ def _extremes(
     yield "note", "needles", ratio > NEEDLE, "needles; they flicker at low resolution"
     yield "note", "flat", scales[:, 2] < FLAT * spread, "too small to be seen"
     invisible = np.asarray(gaussians.opacities) < INVISIBLE
-    yield "note", "invisible", invisible, "opacity below 1/255; no viewer shows them"
+    yield "note", "invisible", invisible, "opacity below 1/255; most rasterisers skip them"
     text = "rotations are not unit quaternions; viewers normalise them, some converters do not"
     yield "note", "rotations", abs(length - 1) > UNIT_TOLERANCE, text
 
 
 def _format(path: Path, ply: "PlyData") -> str:
-    suffix = path.suffix.lower()
-    if suffix in SUFFIXES or has_mark(path, "packed_position"):
-        return suffix if suffix in SUFFIXES else ".compressed.ply"
+    if path.suffix.lower() in SUFFIXES:
+        return path.suffix.lower()
+    with path.open("rb") as file:
+        header = file.read(MAX_HEADER_BYTES).partition(b"end_header")[0]
+    if b"\nproperty uint packed_position" in header:
+        return ".compressed.ply"
     orders = {"<": "little", ">": "big"}
     return "ascii .ply" if ply.text else f"binary {orders.get(ply.byte_order, '')} endian .ply"

@@ -38,6 +38,7 @@ from gsc_jax.cli.verify import Verify, run_verify
 from gsc_jax.cli.viewer.server import run_view
 from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.io.validation import printable
+from gsc_jax.render.up import AXES
 from gsc_jax.scene import InputError
 
 Command = Locate | Scan | Render | Tamper | Evaluate | Check | Verify | View | Demo
@@ -95,6 +96,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def parse(argv: Sequence[str]) -> Command:
     """Parse the arguments; with --config, the file supplies the defaults of `locate` and `scan`."""
+    argv = list(argv)
+    for index in range(len(argv) - 1, 0, -1):  # argparse takes a value -y for an option
+        if argv[index - 1] == "--up" and argv[index] in AXES:
+            argv[index - 1 : index + 1] = [f"--up={argv[index]}"]
     finder = argparse.ArgumentParser(prog="gsc-jax locate", add_help=False, allow_abbrev=False)
     finder.add_argument("--config", type=Path)
     path = finder.parse_known_args(argv)[0].config

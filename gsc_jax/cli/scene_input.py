@@ -37,7 +37,8 @@ def check_numbers(options: SceneOptions) -> None:
         raise InputError(f"--seed {options.seed}: expected 0 or more")
     if options.up is not None and options.cameras is not None:
         raise InputError("--up: is for an orbit, which --cameras replaces; leave out one of them")
-    parse_up(options.up or "y")
+    if options.up is not None:
+        parse_up(options.up)
 
 
 def read_scene(
@@ -65,8 +66,8 @@ def _read_cameras(
     if options.cameras is not None:
         cameras = load_cameras(options.cameras, max_bytes=memory_limit(options.memory))
     else:
-        known = options.up or ("y" if options.scene.suffix.lower() in Y_UP else None)
-        up = parse_up(known) if known else estimated_up(gaussians)
+        known = "y" if options.up is None and options.scene.suffix.lower() in Y_UP else options.up
+        up = estimated_up(gaussians) if known is None else parse_up(known)
         orbit = orbit_cameras(gaussians, count, up=up, seed=options.seed)
         indoors = moved_indoors(gaussians, orbit, up)
         cameras, place = indoors or orbit, "in and around the room" if indoors else "on an orbit"

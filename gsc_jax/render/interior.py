@@ -10,16 +10,17 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from gsc_jax.render.orbit import look_at, scene_extent
+from gsc_jax.render.orbit import look_at, opaque_means, scene_extent
 from gsc_jax.scene import Camera, Gaussians
 from gsc_jax.scene.camera import intrinsics
 from gsc_jax.scene.gaussians import rotation_matrices
 
 MAX_GAUSSIANS = 20_000
 """Gaussians of largest opacity times area in which surfaces are looked for."""
-HIDDEN_SHARE = 0.5
-"""Share of the cameras of an orbit to which the centre is hidden, above which it is a room: 0 to
-0.2 in scenes that are seen from outside, 0.6 to 0.8 in rooms."""
+HIDDEN_SHARE, CONTENT_SHARE = 0.5, 0.01
+"""A room hides its centre from more than this share of an orbit (0.6 to 0.8; 0 to 0.2 outdoors, 0
+to 0.75 in single objects), and has contents: this share of its Gaussians, or more, is nearer to the
+centre than a quarter of the radius (0.03 to 0.06 in rooms, 0 in a hollow vase)."""
 LIFTS = np.linspace(0, 0.5, 6)
 """Heights of the cameras over the centre that are tried, in radii of the scene."""
 REACH, FOV_DEGREES = 0.75, 80.0
@@ -40,7 +41,8 @@ def moved_indoors(
     surface = surface_finder(gaussians)
     rays = [np.asarray(camera.center, np.float64) - center for camera in cameras]
     hidden = [surface(center + ray, -ray) < np.linalg.norm(ray) - radius / 2 for ray in rays]
-    if np.mean(hidden) <= HIDDEN_SHARE:
+    nearby = np.linalg.norm(opaque_means(gaussians) - center, axis=1) < radius / 4
+    if np.mean(hidden) <= HIDDEN_SHARE or np.mean(nearby) < CONTENT_SHARE:
         return None
     level = [ray - (ray @ up) * up for ray in rays]
     away = [0.1 * up - ray / np.linalg.norm(ray) for ray in level]

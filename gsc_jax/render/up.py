@@ -6,18 +6,20 @@ largest is the up direction, if it stands out, and if the floor is not an uprigh
 object; otherwise -y, the up of most scenes from COLMAP.
 """
 
+import contextlib
+
 import numpy as np
 
 from gsc_jax.render.orbit import DEFAULT_UP
 from gsc_jax.scene import Gaussians, InputError
 from gsc_jax.scene.gaussians import rotation_matrices
 
-MIN_GAUSSIANS, MAX_GAUSSIANS, DIRECTIONS = 100, 20_000, 400
+MIN_GAUSSIANS, MAX_GAUSSIANS, DIRECTIONS = 1000, 20_000, 400
 """Sizes of the sample of the Gaussians, and directions that are compared, 10 degrees apart."""
 LEVEL_COSINE, NEAR_COSINE = np.cos(np.radians([20, 10]))
 """Normals up to this angle from the direction are level; axes up to this one are taken as meant."""
-SLAB = 0.2
-"""Part of the height that holds the floor."""
+SLAB, FLAT_RATIO = 0.2, 0.7
+"""Part of the height that holds the floor; largest ratio of the axes of a flat Gaussian."""
 MIN_RATIO, MAX_ASPECT = 1.5, 1.9
 """Advantage over directions at more than 45 degrees, 1.8 to 20 in outdoor scenes and rooms and 1 to
 1.7 in most single objects, and ratio of the sides of a floor, 2 to 6 for the sides of statues."""
@@ -27,14 +29,12 @@ AXES = dict(zip(("x", "y", "z", "-x", "-y", "-z"), [*np.eye(3), *-np.eye(3)], st
 def parse_up(text: str) -> np.ndarray:
     """Unit vector of "z", "-y" or "0,0.1,1"; InputError for others."""
     if text in AXES:
-        return AXES[text]
-    try:
+        return AXES[text].copy()
+    with contextlib.suppress(ValueError):
         vector = np.array([float(part) for part in text.split(",")])
-        length = float(np.linalg.norm(vector))
-        if vector.shape == (3,) and 0 < length < np.inf:
-            return vector / length
-    except ValueError:
-        pass
+        if vector.shape == (3,) and np.isfinite(vector).all() and vector.any():
+            vector /= np.abs(vector).max()  # so that the norm neither overflows nor underflows
+            return vector / np.linalg.norm(vector)
     raise InputError(f"--up {text}: expected one of {', '.join(AXES)}, or three numbers as 0,0,1")
 
 
@@ -58,17 +58,18 @@ def estimated_up(gaussians: Gaussians) -> np.ndarray:
     apart = candidates @ best < np.sqrt(0.5)
     if floors.max() <= MIN_RATIO * max(floors[apart].max(), 0) or not _is_wide(means, best):
         return DEFAULT_UP.copy()
-    return next((axis for axis in AXES.values() if axis @ best > NEAR_COSINE), best)
+    return next((axis.copy() for axis in AXES.values() if axis @ best > NEAR_COSINE), best)
 
 
 def _surfels(gaussians: Gaussians) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Centres, normals, and areas of which the sum is 1."""
+    """Centres, normals, and relative areas, 0 for Gaussians that are not flat."""
     log_scales = np.asarray(gaussians.log_scales, np.float64)
     shortest = log_scales.argmin(axis=1)[:, None, None]
     normals = np.take_along_axis(rotation_matrices(gaussians), shortest, axis=2)[..., 0]
-    areas = np.exp(np.sort(log_scales, axis=1)[:, 1:].sum(axis=1))
+    scales = np.sort(np.exp(log_scales), axis=1)
+    areas = scales[:, 2] * scales[:, 1] * (scales[:, 0] < FLAT_RATIO * scales[:, 1])
     areas = np.minimum(areas, np.percentile(areas, 99))  # not a few huge floaters
-    return np.asarray(gaussians.means, np.float64), normals, areas / areas.sum()
+    return np.asarray(gaussians.means, np.float64), normals, areas / max(areas.sum(), 1e-300)
 
 
 def _floor(means: np.ndarray, normals: np.ndarray, areas: np.ndarray, up: np.ndarray) -> float:

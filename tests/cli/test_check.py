@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.lib.recfunctions import merge_arrays
 from plyfile import PlyData, PlyElement
+from web_files import WRITERS
 
 from gsc_jax.benchmark.scenes import make_room
 from gsc_jax.cli.check import layout_problems, row_problems
@@ -122,7 +123,7 @@ def test_json_has_the_same_problems(tmp_path):
     assert (report["usable"], report["rows"], report["gaussians"]) == (True, 400, 399)
     (nan,) = [p for p in report["problems"] if p["level"] == "warning"]
     assert (nan["name"], nan["rows"]) == ("position not finite", 1)
-    assert f"warning  1 rows: {nan['text']}" in run("check", path).out
+    assert f"warning  1 row: {nan['text']}" in run("check", path).out
 
 
 def test_an_unusable_file_ends_with_code_2_and_the_reason(tmp_path):
@@ -132,13 +133,35 @@ def test_an_unusable_file_ends_with_code_2_and_the_reason(tmp_path):
     answer = run("check", path, "--json")
     report = json.loads(answer.out)
     assert (answer.code, report["usable"], report["problems"]) == (2, False, [])
+    assert set(report) == set(json.loads(run("check", written(tmp_path / "s.ply"), "--json").out))
+    assert run("check", tmp_path / "s.ply", "--json", "--memory", -1).out == ""
     assert report["error"] in answer.err
     assert "no such file" in refused("check", tmp_path / "missing.ply")
 
 
 def test_labels_of_locate_are_an_unknown_property(tmp_path):
     save_ply(tmp_path / "scene.ply", ROOM, tamper=np.zeros(400))
-    assert "programs may drop: tamper" in run("check", tmp_path / "scene.ply").out
+    assert "more properties (tamper)" in run("check", tmp_path / "scene.ply").out
+
+
+@pytest.mark.parametrize("suffix", WRITERS)
+def test_other_formats_are_named(tmp_path, suffix):
+    answer = run("check", WRITERS[suffix](tmp_path / f"scene{suffix}", ROOM.take(np.arange(50))))
+    assert answer.code == 0
+    assert f"format   {suffix}, 50 rows" in answer.out
+
+
+def test_a_comment_is_no_compression(tmp_path):
+    ply = encode(ROOM)
+    ply.comments = ["packed_position"]
+    ply.write(tmp_path / "scene.ply")
+    assert "format   binary little endian .ply" in run("check", tmp_path / "scene.ply").out
+
+
+@pytest.mark.parametrize("rows", [[0], [0] * 50])
+def test_a_scene_without_extent_is_not_larger_than_itself(tmp_path, rows):
+    found = names(read_ply(written(tmp_path / "scene.ply", ROOM.take(np.array(rows)))))
+    assert set(found) <= {*HARMLESS, "copies"}
 
 
 @settings(max_examples=25, deadline=None)

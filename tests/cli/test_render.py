@@ -69,14 +69,16 @@ def test_the_up_direction_is_estimated_or_given(tmp_path):
     for given_up, shown, up in (
         ([], "-z", [0, 0, -1]),
         (["--up", "x"], "x", [1, 0, 0]),
+        (["--up", "-y"], "-y", [0, -1, 0]),
         (["--up", "0,3,4"], "0.00,0.60,0.80", [0, 0.6, 0.8]),
     ):
-        answer = run(*argv, *given_up, "--out", tmp_path / shown)
+        answer = run(*argv, *given_up, "--out", tmp_path / shown.strip("-"))
         assert answer.code == 0
         assert f"with {shown} as the up direction" in answer.err
-        for camera in load_cameras(tmp_path / shown / "cameras.json"):
+        for camera in load_cameras(tmp_path / shown.strip("-") / "cameras.json"):
             assert -camera.viewmat[1, :3] @ np.array(up) > 0.5, "the image is on its side"
-    assert "expected one of x, y" in refused(*argv, "--up=up", "--out", tmp_path / "no")
+    for text in ("up", ""):
+        assert "expected one of x, y" in refused(*argv, f"--up={text}", "--out", tmp_path / "no")
     cameras = tmp_path / "x" / "cameras.json"
     both = refused(*argv, "--up", "x", "--cameras", cameras, "--out", tmp_path / "no")
     assert "leave out one" in both

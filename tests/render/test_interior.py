@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from strategies import ball
 
-from gsc_jax.benchmark.scenes import concatenate, make_room
+from gsc_jax.benchmark.scenes import concatenate, make_object, make_room
 from gsc_jax.render.interior import moved_indoors, surface_finder
 from gsc_jax.render.orbit import DEFAULT_UP, orbit_cameras
 from gsc_jax.scene import Gaussians
@@ -54,5 +54,8 @@ def test_cameras_move_into_a_room_and_see_it():
 
 
 def test_what_is_open_is_looked_at_from_outside():
-    for scene in (ball(), ROOM.take(np.asarray(ROOM.means)[:, 1] > -0.2)):  # the room has no walls
+    shell = ball(2_000)
+    shell.means[:] /= np.linalg.norm(shell.means, axis=1, keepdims=True)
+    low = ROOM.take(np.asarray(ROOM.means)[:, 1] > -0.2)  # without walls
+    for scene in (ball(), low, make_object(), shell):
         assert moved_indoors(scene, orbit_cameras(scene, 12), DEFAULT_UP) is None

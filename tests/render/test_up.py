@@ -40,7 +40,7 @@ def test_an_axis_is_taken_as_it_is(axis):
     np.testing.assert_array_equal(estimated_up(turned(ROOM, rotation)), AXES[axis])
 
 
-@pytest.mark.parametrize("name", ["flowers", "hexbox", "playbot", "seal"])
+@pytest.mark.parametrize("name", ["flowers", "hexbox", "kitchen", "playbot", "seal"])
 def test_real_scenes_that_were_turned(name):
     if not SCENES.exists():
         pytest.skip("shared/data is not here")
@@ -50,15 +50,47 @@ def test_real_scenes_that_were_turned(name):
     assert up_text(estimated_up(turned(scene, rotation))) == "-z"
 
 
-@pytest.mark.parametrize("scene", [ball(), random_scene(1), random_scene(50), make_object()])
+def flattened(axes: int) -> Gaussians:
+    """The room, where most Gaussians have no extent along some axes."""
+    log_scales = np.array(ROOM.log_scales)
+    log_scales[5:, :axes] = -np.inf
+    return dataclasses.replace(ROOM, log_scales=log_scales)
+
+
+ROUND = dataclasses.replace(
+    ROOM,
+    log_scales=np.full_like(ROOM.log_scales, -3),
+    quats=np.tile(np.array([1, 0, 0, 0], np.float32), (len(ROOM), 1)),
+)
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [
+        ball(),
+        random_scene(1),
+        random_scene(999),
+        random_scene(4_000),
+        make_object(),
+        flattened(3),
+        flattened(2),
+        ROUND,
+    ],
+)
 def test_without_a_floor_up_is_that_of_colmap(scene):
     np.testing.assert_array_equal(estimated_up(scene), DEFAULT_UP)
 
 
 def test_directions_are_read_as_they_are_written():
-    for text, vector in (("z", [0, 0, 1]), ("-x", [-1, 0, 0]), ("0, -2, 0", [0, -1, 0])):
+    for text, vector in (
+        ("z", [0, 0, 1]),
+        ("-x", [-1, 0, 0]),
+        ("0, -2, 0", [0, -1, 0]),
+        ("1e200,0,0", [1, 0, 0]),
+        ("0,0,-1e-200", [0, 0, -1]),
+    ):
         np.testing.assert_array_equal(parse_up(text), vector)
         assert parse_up(up_text(parse_up(text))) @ np.array(vector) == 1
-    for text in ("", "up", "1,2", "0,0,0", "nan,0,1", "inf,0,0", "1,2,3,4"):
+    for text in ("", "up", "1,2", "0,0,0", "nan,0,1", "inf,0,0", "1,2,3,4", "1e999,0,0"):
         with pytest.raises(InputError, match="expected one of"):
             parse_up(text)

@@ -16,6 +16,7 @@ from gsc_jax.io.compressed import SUFFIXES
 from gsc_jax.io.files import memory_limit
 from gsc_jax.io.layout import DC, NORMAL, POSITION, REST, ROTATION, SCALE
 from gsc_jax.io.ply import PlyScene, read_ply
+from gsc_jax.render.projection import MIN_ALPHA
 from gsc_jax.render.spherical_harmonics import Y0
 from gsc_jax.render.visibility import scale_warnings
 from gsc_jax.scene import Gaussians, InputError
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
     from plyfile import PlyData
 
 INRIA = (*POSITION, *NORMAL, *DC, *REST, "opacity", *SCALE, *ROTATION)
-INVISIBLE = 1 / 255
-"""Opacity below which rasterisers skip a Gaussian."""
 FAR, FLAT, NEEDLE, UNIT_TOLERANCE = 100, 1e-7, 1e4, 1e-3
 """Extremes: distance and least size in spreads of the scene, ratio of axes, |length - 1|."""
 
@@ -167,7 +166,7 @@ def _extremes(
     yield "warning", "colours", wild, "base colours far beyond 0 to 1; are they in 0 to 255?"
     yield "note", "needles", ratio > NEEDLE, "needles; they flicker at low resolution"
     yield "note", "flat", scales[:, 2] < FLAT * spread, "too small to be seen"
-    invisible = np.asarray(gaussians.opacities) < INVISIBLE
+    invisible = np.asarray(gaussians.opacities) < MIN_ALPHA
     yield "note", "invisible", invisible, "opacity below 1/255; no viewer shows them"
     text = "rotations are not unit quaternions; viewers normalise them, some converters do not"
     yield "note", "rotations", abs(length - 1) > UNIT_TOLERANCE, text

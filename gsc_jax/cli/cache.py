@@ -7,6 +7,7 @@ import os
 import secrets
 from pathlib import Path
 
+import jax
 import platformdirs
 
 MIN_SECONDS = 0.1
@@ -38,8 +39,6 @@ def enable_compilation_cache(folder: Path | str) -> None:
 
     Changes the configuration of JAX in this process: for programs, not for libraries.
     """
-    import jax
-
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", MIN_SECONDS)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)

@@ -15,6 +15,7 @@ from gsc_jax.io.compressed import SUFFIXES
 from gsc_jax.io.files import memory_limit
 from gsc_jax.io.layout import DC, NORMAL, POSITION, REST, ROTATION, SCALE
 from gsc_jax.io.ply import MAX_HEADER_BYTES, PlyScene, read_ply
+from gsc_jax.render.projection import MIN_ALPHA
 from gsc_jax.render.spherical_harmonics import Y0
 from gsc_jax.render.visibility import scale_warnings
 from gsc_jax.scene import Gaussians, InputError
@@ -23,8 +24,6 @@ if TYPE_CHECKING:
     from plyfile import PlyData
 
 INRIA = (*POSITION, *NORMAL, *DC, *REST, "opacity", *SCALE, *ROTATION)
-INVISIBLE = 1 / 255
-"""Opacity below which rasterisers skip a Gaussian."""
 HASH_FACTOR = np.uint64(0x9E3779B97F4A7C15)
 """Odd, so that a hash of several columns keeps all bits."""
 FAR, FLAT, NEEDLE, UNIT_TOLERANCE = 100, 1e-7, 1e4, 1e-3
@@ -175,7 +174,7 @@ def _extremes(
     yield "warning", "colours", wild, "base colours far beyond 0 to 1; are they in 0 to 255?"
     yield "note", "needles", ratio > NEEDLE, "needles; they flicker at low resolution"
     yield "note", "flat", scales[:, 2] < FLAT * spread, "too small to be seen"
-    invisible = np.asarray(gaussians.opacities) < INVISIBLE
+    invisible = np.asarray(gaussians.opacities) < MIN_ALPHA
     yield "note", "invisible", invisible, "opacity below 1/255; most rasterisers skip them"
     text = "rotations are not unit quaternions; viewers normalise them, some converters do not"
     yield "note", "rotations", abs(length - 1) > UNIT_TOLERANCE, text

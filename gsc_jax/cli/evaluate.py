@@ -30,9 +30,6 @@ ASPECT_TOLERANCE = 0.02
 """Relative difference between the aspects of a truth and its view that rounding of the sizes of
 small images explains."""
 
-Masks = dict[str, np.ndarray]
-"""Tampered pixels (H, W) bool, by camera name."""
-
 
 def run_evaluate(options: Evaluate) -> tuple[list[str], list[str]]:
     """Compare results with the truth and write the scores; return lines to print, and warnings."""
@@ -47,7 +44,7 @@ def run_evaluate(options: Evaluate) -> tuple[list[str], list[str]]:
         report["gaussians"] = _by_gaussian(results, labels)
         lines += [*_gaussian_table(report["gaussians"]), ""]
     if masks is not None:
-        report["views"] = _by_view(results, FolderDetector(masks, max_bytes=limit), warnings)
+        report["views"] = _by_view(results, masks, limit, warnings)
         lines += [*_view_table(report["views"]), ""]
     write_json(out, {**report, "warnings": warnings})
     return [*lines, f"numbers  {out}"], warnings
@@ -73,15 +70,14 @@ def _by_gaussian(results: Results, truth: Path) -> dict[str, Any]:
 
     Rows that `locate` could not read count as labelled authentic.
     """
-    values = read_by_row(truth, results.total)
+    values = read_by_row(truth, results.scene.total)
     if not np.isin(values, (0, 1)).all():
         raise InputError(f"{truth}: holds {values.dtype} other than 0 and 1, expected labels.npy")
     labels = values.astype(bool)
-    found, scores = np.zeros(results.total, bool), np.zeros(results.total, np.float32)
-    found[results.rows], scores[results.rows] = results.labels, results.tamper
+    found, scores = map(results.scene.expand, (results.labels, results.tamper))
     counts = confusion(found, labels)
     return {
-        "rows": results.total,
+        "rows": results.scene.total,
         "tampered": int(labels.sum()),
         "found": int(found.sum()),
         "both": int(counts.tp),
@@ -90,12 +86,12 @@ def _by_gaussian(results: Results, truth: Path) -> dict[str, Any]:
     }
 
 
-def _by_view(results: Results, truth: FolderDetector, warnings: list[str]) -> dict[str, Any]:
+def _by_view(results: Results, masks: Path, limit: int, warnings: list[str]) -> dict[str, Any]:
     """Scores of the final masks and of the masks of the detector, and the truth's tampered shares.
 
     `found_where_judged` has the scores of the final masks on the views of the detector.
     """
-    views = results.cameras
+    views, truth = results.cameras, FolderDetector(masks, max_bytes=limit)
     chosen = truth.select(views)
     if len(chosen) < len(views):
         warnings.append(
@@ -103,9 +99,9 @@ def _by_view(results: Results, truth: FolderDetector, warnings: list[str]) -> di
         )
     true = {camera.name: _true_mask(truth, camera, warnings) for camera in chosen}
     warnings += truth.warnings
-    found = {camera.name: _read_mask(results, "masks", camera) for camera in chosen}
+    found = {camera.name: _read_mask(results, "masks", camera, limit) for camera in chosen}
     judged = [c for c in chosen if _mask_path(results, "detector", c).exists()]
-    detector = {camera.name: _read_mask(results, "detector", camera) for camera in judged}
+    detector = {camera.name: _read_mask(results, "detector", camera, limit) for camera in judged}
     scores = {
         "truth": {name: float(mask.mean()) for name, mask in true.items()},
         "found": _scores(found, true),
@@ -131,10 +127,10 @@ def _true_mask(folder: FolderDetector, camera: Camera, warnings: list[str]) -> n
     return fit_to_view(truth, camera) > 0.5
 
 
-def _read_mask(results: Results, kind: str, camera: Camera) -> np.ndarray:
+def _read_mask(results: Results, kind: str, camera: Camera, limit: int) -> np.ndarray:
     """A mask that the run wrote."""
     path = _mask_path(results, kind, camera)
-    mask = read_probability(path, zero_one=False, max_bytes=results.max_bytes) > 0.5
+    mask = read_probability(path, zero_one=False, max_bytes=limit) > 0.5
     if mask.shape != (camera.height, camera.width):
         raise InputError(
             f"{path}: has {mask.shape[1]} x {mask.shape[0]} pixels, expected {camera.width} x "
@@ -147,7 +143,7 @@ def _mask_path(results: Results, kind: str, camera: Camera) -> Path:
     return result_file(results.folder, image_path(kind, camera.name))
 
 
-def _scores(masks: Masks, truth: Masks) -> dict[str, Any]:
+def _scores(masks: Mapping[str, np.ndarray], truth: Mapping[str, np.ndarray]) -> dict[str, Any]:
     """Measures of the tampered views and their means, and the flagged area of the others."""
     names = list(masks)
     scores = mean_over_tampered_views(list(masks.values()), [truth[name] for name in names])

@@ -10,14 +10,8 @@ from typing import Any
 import jax
 import numpy as np
 
+from gsc_jax.cli import detector_choice
 from gsc_jax.cli.config_file import read_config_file
-from gsc_jax.cli.detector_choice import (
-    configured_estimator,
-    network_path,
-    open_detector,
-    uses_attributes,
-    with_spec,
-)
 from gsc_jax.cli.options import Locate
 from gsc_jax.cli.outputs import planned_outputs, versions, write_report, write_results
 from gsc_jax.cli.ownership import refuse_foreign, refuse_overlap
@@ -66,10 +60,11 @@ def read_inputs(options: Locate, *, monitor: Monitor) -> Inputs:
             f"{options.config}: is for the method {method}; the settings that depend on the method "
             f"were dropped, as --method is {options.method}"
         )
-    estimator, options = configured_estimator(options), with_spec(options)
-    attributes = uses_attributes(options, estimator)
-    detector = open_detector(options, attributes=attributes)
-    files = [options.scene, options.masks, network_path(options), options.spec]
+    estimator = detector_choice.configured_estimator(options)
+    options = detector_choice.with_spec(options)
+    attributes = detector_choice.uses_attributes(options, estimator)
+    detector = detector_choice.open_detector(options, attributes=attributes)
+    files = [options.scene, options.masks, detector_choice.network_path(options), options.spec]
     files += camera_files(options.cameras) if options.cameras else []
     files = [path for path in files if path is not None]
     refuse_overlap(options.out, files, written=(*FILES, *BY_CAMERA))
@@ -170,7 +165,7 @@ def _evidence(inputs: Inputs) -> list[str]:
     sources = ["the attributes of the Gaussians"] if inputs.attributes else []
     if inputs.detector is not None:
         count = len(inputs.detector.select(inputs.cameras))
-        network = network_path(inputs.options)
+        network = detector_choice.network_path(inputs.options)
         source = f"{network} on up to" if network else f"masks in {inputs.options.masks} of"
         sources.append(f"{source} {count} views")
     return sources

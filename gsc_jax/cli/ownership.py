@@ -98,16 +98,22 @@ def has_mark(path: Path, mark: str) -> bool:
     return False
 
 
+def refuse_links(out: Path, places: Sequence[Path]) -> None:
+    """Raise InputError for a link among these places in a folder of results."""
+    for place in places:
+        if place.is_symlink():
+            raise InputError(
+                f"{place}: is a link, and results are written inside {out} only; remove the link"
+            )
+
+
 def refuse_blocked(out: Path, names: Sequence[str]) -> None:
     """Raise InputError for links to folders where files are to be written: they may lead anywhere.
 
     Also for a folder where a file is to be written, or a file where a folder is.
     """
     folders = {out / place for name in names for place in PurePosixPath(name).parents}
-    if links := sorted(place for place in folders - {out} if place.is_symlink()):
-        raise InputError(
-            f"{links[0]}: is a link, and results are written inside {out} only; remove the link"
-        )
+    refuse_links(out, sorted(folders - {out}))
     blocked = [out / name for name in names if (out / name).is_dir()]
     blocked += [place for place in sorted(folders) if place.exists() and not place.is_dir()]
     if blocked:

@@ -10,47 +10,39 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 
 from gsc_jax.io.cameras import load_cameras
 from gsc_jax.io.files import existing_file
-from gsc_jax.io.ply import read_ply
+from gsc_jax.io.ply import PlyScene, read_ply
 from gsc_jax.io.tables import read_table
 from gsc_jax.io.validation import brief, one_line
-from gsc_jax.scene import Camera, Gaussians, InputError
+from gsc_jax.scene import Camera, InputError
 
 AGAIN = "run gsc-jax locate again"
-
-
 Count = Annotated[int, Field(ge=0)]
 Share = Annotated[float, Field(ge=0, le=1)]
 
 
-class _Entries(BaseModel):
-    """Strict, because the values are used as they are in the file."""
-
-    model_config = ConfigDict(strict=True, allow_inf_nan=False)
-
-
-class _View(_Entries):
+class _View(BaseModel):
     name: str
     width: Count
     height: Count
 
 
-class _Config(_Entries):
+class _Config(BaseModel):
     """The ranges are those of the estimators."""
 
     threshold: Annotated[float, Field(ge=0, lt=1)]
     near: Annotated[float, Field(ge=1e-9, le=1e9)]
 
 
-class _Counts(_Entries):
+class _Counts(BaseModel):
     gaussians: Count
     tampered: Count
 
 
-class _Report(_Entries):
+class _Report(BaseModel):
     """The entries of result.json that are read again; it has others, too."""
 
     config: _Config
@@ -66,29 +58,18 @@ class Results:
 
     Attributes:
         report: Content of result.json.
-        gaussians: The N Gaussians that can be rendered, NumPy float32.
-        rows: Row of each of them in the scene file, ascending, shape (N,) int64.
-        total: Number of rows of the scene file.
+        scene: The scene, with its N Gaussians that can be rendered.
         tamper: Scores in [0, 1], shape (N,) float32.
         labels: Tampered Gaussians, shape (N,) bool.
         cameras: The cameras of the masks, at the size of the masks.
-        max_bytes: Memory that reading a mask may take; None for the default.
     """
 
     folder: Path
     report: dict[str, Any]
-    gaussians: Gaussians
-    rows: np.ndarray
-    total: int
+    scene: PlyScene
     tamper: np.ndarray
     labels: np.ndarray
     cameras: list[Camera]
-    max_bytes: int | None = None
-
-    @property
-    def threshold(self) -> float:
-        """Score above which a Gaussian was labelled as tampered."""
-        return float(self.report["config"]["threshold"])
 
 
 def read_results(folder: str | Path, *, max_bytes: int | None = None) -> Results:
@@ -120,13 +101,10 @@ def read_results(folder: str | Path, *, max_bytes: int | None = None) -> Results
     return Results(
         folder=folder,
         report=report,
-        gaussians=scene.gaussians,
-        rows=scene.rows,
-        total=scene.total,
+        scene=scene,
         tamper=tamper.astype(np.float32),
         labels=labels.astype(bool),
         cameras=cameras,
-        max_bytes=max_bytes,
     )
 
 
@@ -163,7 +141,7 @@ def _read_report(folder: Path) -> dict[str, Any]:
         raise InputError(f"{folder}: {found} (result.json); give the --out of a run")
     report = read_table(path, remedy=AGAIN)
     try:
-        _Report.model_validate(report)
+        _Report.model_validate(report, strict=True)  # the values are used as they are
     except ValidationError as error:
         raise InputError(f"{one_line(error, str(path), report)}; {AGAIN}") from error
     return report

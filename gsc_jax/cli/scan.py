@@ -3,7 +3,6 @@
 import contextlib
 import dataclasses
 import logging
-import os
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -23,6 +22,7 @@ from gsc_jax.collection.scan import import_ray, scan
 from gsc_jax.collection.settings import ScanSettings
 from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.io.files import atomic
+from gsc_jax.scene.parallel import usable_cores
 
 PAGE, RANKED = "collection.html", 20
 """Name of the page, and scenes in the table on the terminal."""
@@ -116,7 +116,7 @@ def _connected(ray: Any, options: Scan) -> Iterator[None]:
     if ray.is_initialized():
         yield
         return
-    cores = (options.workers or 0) * options.cpus or len(os.sched_getaffinity(0))
+    cores = (options.workers or 0) * options.cpus or len(usable_cores())
     started = {"address": "local", "num_cpus": cores, "include_dashboard": False}
     cluster = {"address": options.address} if options.address else started
     ray.init(**cluster, log_to_driver=False, logging_level=logging.ERROR)

@@ -19,16 +19,8 @@ from pathlib import Path
 
 import filelock
 
-from gsc_jax.cli.ownership import (
-    JOURNAL,
-    UNFINISHED,
-    has_mark,
-    is_output,
-    listed_outputs,
-    read_journal,
-    refuse_blocked,
-    sealed,
-)
+from gsc_jax.cli import ownership
+from gsc_jax.cli.ownership import JOURNAL, UNFINISHED
 from gsc_jax.io.files import content_digest
 from gsc_jax.scene import InputError
 
@@ -75,7 +67,7 @@ def replacing(
             where a file belongs, or a folder inside it is a link.
     """
     work = out / UNFINISHED
-    _refuse_links(work)
+    ownership.refuse_links(out, [work, *work.rglob("*")])
     created = [place for place in (out, *out.parents) if not place.exists()]
     try:
         with locked(work):
@@ -108,15 +100,6 @@ def files_below(folder: Path) -> list[str]:
     return sorted(path.as_posix() for path in paths)
 
 
-def _refuse_links(work: Path) -> None:
-    """Refuse links in the place of anything unfinished: they may lead anywhere."""
-    for place in (work, *work.rglob("*")):
-        if place.is_symlink():
-            raise InputError(
-                f"{place}: is a link, and results are written inside {work.parent} only; remove it"
-            )
-
-
 @contextlib.contextmanager
 def locked(work: Path) -> Iterator[None]:
     """Hold the lock of a folder of results; the system releases that of a process that ends."""
@@ -145,7 +128,7 @@ def _begin(work: Path, out: Path, identity: str | None) -> None:
     (work / NEW).mkdir()
     if identity is None:
         return
-    known, content = work / IDENTITY, sealed(out, identity)
+    known, content = work / IDENTITY, ownership.sealed(out, identity)
     if not known.is_file() or not hmac.compare_digest(known.read_bytes(), content):
         if (work / VIEWS).exists():
             shutil.rmtree(work / VIEWS)
@@ -155,23 +138,18 @@ def _begin(work: Path, out: Path, identity: str | None) -> None:
 def _commit(work: Path, out: Path, report: str) -> None:
     """Write the journal, from which on the run cannot fail any more, and move the files."""
     names = files_below(work / NEW)
-    refuse_blocked(out, names)
-    if report in names:
-        _add_digests(work / NEW, names, report)
+    ownership.refuse_blocked(out, names)
+    if report in names:  # with the digests by which the next run recognises the files
+        content = json.loads((work / NEW / report).read_text("utf-8"))
+        digests = {name: content_digest(work / NEW / name) for name in names if name != report}
+        content["outputs"] = {name: digests.get(name) for name in names}
+        text = json.dumps(content, indent=2, ensure_ascii=False)
+        (work / NEW / report).write_text(text + "\n", "utf-8")
     last = [name for name in ("report.html", report) if name in names]
     moved = [*(name for name in names if name not in last), *last]
     removed = [*reversed(last), *_leftovers(out, report, names)]
-    _write(work / JOURNAL, sealed(out, json.dumps({"moved": moved, "removed": removed})))
+    _write(work / JOURNAL, ownership.sealed(out, json.dumps({"moved": moved, "removed": removed})))
     _publish(work, out)
-
-
-def _add_digests(new: Path, names: Sequence[str], report: str) -> None:
-    """List the files in the report, with the digests by which the next run recognises them."""
-    content = json.loads((new / report).read_text("utf-8"))
-    digests = {name: content_digest(new / name) for name in names if name != report}
-    content["outputs"] = {name: digests.get(name) for name in names}
-    text = json.dumps(content, indent=2, ensure_ascii=False)
-    (new / report).write_text(text + "\n", "utf-8")
 
 
 def _publish(work: Path, out: Path) -> None:
@@ -179,8 +157,8 @@ def _publish(work: Path, out: Path) -> None:
 
     Old reports are removed first and new ones moved last: a folder with a report is complete.
     """
-    moved, removed = read_journal(out).values()
-    refuse_blocked(out, [*moved, *removed])
+    moved, removed = ownership.read_journal(out).values()
+    ownership.refuse_blocked(out, [*moved, *removed])
     waiting = [name for name in moved if (work / NEW / name).exists()]
     for name in removed:
         if name in waiting or name not in moved:
@@ -209,10 +187,13 @@ def _write(path: Path, content: bytes) -> None:
 
 def _leftovers(out: Path, report: str, names: Sequence[str]) -> list[str]:
     """Pictures and scores of an earlier run that a run which writes `names` does not replace."""
-    digests = listed_outputs(out, report)
+    digests = ownership.listed_outputs(out, report)
     old = [name for name in digests if name not in names and name.endswith(PICTURES)]
-    scored = "result.json" in digests and has_mark(out / EVALUATION, EVALUATION_MARK)
-    return [*(name for name in old if is_output(out, name, digests)), *[EVALUATION] * scored]
+    scored = "result.json" in digests and ownership.has_mark(out / EVALUATION, EVALUATION_MARK)
+    return [
+        *(name for name in old if ownership.is_output(out, name, digests)),
+        *[EVALUATION] * scored,
+    ]
 
 
 @contextlib.contextmanager

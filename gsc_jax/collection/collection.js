@@ -28,15 +28,11 @@ function link(entry) {
   return made;
 }
 
-function space(rows) {
-  body.insertRow().style.height = rows * HEIGHT + "px";
-}
-
 function draw() {
   const first = Math.max(0, Math.floor(box.scrollTop / HEIGHT) - AROUND);
   const last = Math.min(order.length, first + Math.ceil(box.clientHeight / HEIGHT) + 2 * AROUND);
   body.replaceChildren();
-  space(first);
+  body.insertRow().style.height = first * HEIGHT + "px";
   for (const entry of order.slice(first, last).map(index => all[index])) {
     const row = body.insertRow();
     row.className = "scene";
@@ -45,7 +41,7 @@ function draw() {
     const meter = { value: entry[PROBABILITY] };
     if (meter.value !== null) row.cells[1].prepend(Object.assign(document.createElement("meter"), meter));
   }
-  space(order.length - last);
+  body.insertRow().style.height = (order.length - last) * HEIGHT + "px";
 }
 
 function compare(a, b) {

@@ -13,7 +13,7 @@ from gsc_jax.scene import InputError
 
 Entry = dict[str, str | None]
 """`id`, `path`, `cameras`, `masks`, and further columns, which a scan keeps."""
-GIVEN = ("id", "path", "cameras", "masks")
+PLACES = ("path", "cameras", "masks")
 MANIFESTS = (".csv", ".parquet", ".pq")
 LISTS = (".txt", ".lst", ".list")
 
@@ -46,16 +46,20 @@ def read_manifest(source: Path) -> list[Entry]:
     else:
         existing_file(source, expected="a folder, a glob, a list (.txt), a .csv or a .parquet")
         rows = _files([source])
+    if not rows:
+        raise InputError(f"{source}: holds no scene, expected .ply or compressed scenes")
     entries = [_entry(row, source) for row in rows]
-    _check(source, entries)
+    for name, count in Counter(entry["id"] for entry in entries).items():
+        if count > 1:
+            raise InputError(f"{source}: two scenes have the id {name!r}; give each its own")
     return entries
 
 
 def _files(paths: Sequence[Path], root: Path | None = None) -> list[Entry]:
-    scenes = [p for p in paths if p.suffix.lower() in (".ply", *SUFFIXES) and p.is_file()]
     return [
         {"id": str(path.relative_to(root) if root else path), "path": str(path.absolute())}
-        for path in scenes
+        for path in paths
+        if path.suffix.lower() in (".ply", *SUFFIXES) and path.is_file()
     ]
 
 
@@ -75,7 +79,7 @@ def _rows(source: Path) -> list[Entry]:
     if "path" not in table.column_names:
         found = ", ".join(table.column_names)
         raise InputError(f"{source}: expected a column `path`, found {found}; rename the column")
-    if taken := sorted(set(table.column_names) & set(RESERVED) - set(GIVEN)):
+    if taken := sorted(set(table.column_names) & set(RESERVED) - {"id", *PLACES}):
         raise InputError(f"{source}: the column {taken[0]!r} is one of the results; rename it")
     rows = table.to_pylist()
     return [{k: None if v in (None, "") else str(v) for k, v in row.items()} for row in rows]
@@ -85,16 +89,8 @@ def _entry(row: Mapping[str, str | None], source: Path) -> Entry:
     """An entry with absolute paths, and the path as written as its id where none is given."""
     if not row["path"]:
         raise InputError(f"{source}: a row has no path; complete or remove it")
-    places = {name: row.get(name) for name in ("path", "cameras", "masks")}
+    places = {name: row.get(name) for name in PLACES}
     for name, place in places.items():
         if place and "://" not in place:
             places[name] = str((source.parent / place).absolute())
     return {**row, **places, "id": row.get("id") or row["path"]}
-
-
-def _check(source: Path, entries: Sequence[Entry]) -> None:
-    if not entries:
-        raise InputError(f"{source}: holds no scene, expected .ply or compressed scenes")
-    for name, count in Counter(entry["id"] for entry in entries).items():
-        if count > 1:
-            raise InputError(f"{source}: two scenes have the id {name!r}; give each its own")

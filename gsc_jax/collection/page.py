@@ -19,8 +19,7 @@ def collection_page(rows: Sequence[Row]) -> str:
     The data are compact JSON, and the script makes elements for the visible rows only. Names and
     errors are foreign text, which becomes text of elements and never markup.
     """
-    known = [row["scene_probability"] for row in rows]
-    probabilities = [value for value in known if value is not None]
+    probabilities = [p for row in rows if (p := row["scene_probability"]) is not None]
     bins = Counter(min(int(10 * probability), 9) for probability in probabilities)
     return complete_page(
         "gsc_jax.collection",

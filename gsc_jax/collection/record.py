@@ -112,9 +112,8 @@ def _rows(part: Path) -> list[Row]:
 
 
 def _write(path: Path, rows: list[Row]) -> None:
-    import pyarrow as pa
-    from pyarrow import parquet
+    from pyarrow import Table, parquet
 
     names = {name: None for row in rows for name in row}
     with atomic(path) as temporary:
-        parquet.write_table(pa.Table.from_pylist(rows, schema=schema(names)), temporary)
+        parquet.write_table(Table.from_pylist(rows, schema=schema(names)), temporary)

@@ -20,9 +20,11 @@ from typing import Any, NamedTuple
 from gsc_jax.cli.cache import enable_compilation_cache
 from gsc_jax.cli.options import Locate
 from gsc_jax.collection.judge import judge
+from gsc_jax.collection.manifest import PLACES
 from gsc_jax.collection.record import Row, complete, write_row
 from gsc_jax.collection.settings import ScanSettings
 from gsc_jax.io.files import GIB, content_digest
+from gsc_jax.scene.parallel import usable_cores
 
 MAX_SCENES = 50
 """Scenes after which another process takes over, so that what libraries keep does not add up."""
@@ -86,7 +88,10 @@ class SceneWorker:
         self._ledger, self._busy = ledger, threading.Lock()
         context = ray.get_runtime_context()
         node, worker = context.get_node_id(), context.get_actor_id()
-        cores = _cores(ray.get(ledger.slot.remote(node, worker)), settings.cpus)
+        known, count = usable_cores(), settings.cpus
+        first = self._ray.get(ledger.slot.remote(node, worker)) * count
+        # Its own cores, as long as there are enough.
+        cores = [known[(first + i) % len(known)] for i in range(min(count, len(known)))]
         strategy = self._ray.util.scheduling_strategies.NodeAffinitySchedulingStrategy
         actor = self._ray.remote(_Judge).options(
             num_cpus=0, scheduling_strategy=strategy(node, soft=False), runtime_env=MALLOC
@@ -115,13 +120,12 @@ class SceneWorker:
 
     def _fetched(self, entry: Row, folder: Path) -> dict[str, Path | None]:
         """Scene, cameras and masks as local files; what an entry lacks is that of all scenes."""
-        settings, names = self._settings, ("path", "cameras", "masks")
-        given = [entry.get(name) or settings.command.get(name) for name in names]
-        folders = [folder / name for name in names]
+        given = [entry.get(name) or self._settings.command.get(name) for name in PLACES]
+        folders = [folder / name for name in PLACES]
         pool = ThreadPoolExecutor(1)
         try:
-            places = pool.map(_local, given, folders, timeout=settings.timeout)
-            return dict(zip(names, places, strict=True))
+            places = pool.map(_local, given, folders, timeout=self._settings.timeout)
+            return dict(zip(PLACES, places, strict=True))
         finally:
             pool.shutdown(wait=False)
 
@@ -192,13 +196,6 @@ class _Judge:
         row = judge(Locate(**command), above)
         getattr(ctypes.CDLL(None), "malloc_trim", lambda _: None)(0)
         return row
-
-
-def _cores(slot: int, count: int) -> list[int]:
-    """The cores of a worker: its own as long as there are enough."""
-    affinity = getattr(os, "sched_getaffinity", None)
-    known = sorted(affinity(0)) if affinity else list(range(os.cpu_count() or 1))
-    return [known[(slot * count + index) % len(known)] for index in range(min(count, len(known)))]
 
 
 def _local(place: str | Path | None, folder: Path) -> Path | None:

@@ -69,17 +69,17 @@ def project(gaussians: Gaussians, camera: Camera, *, near: float = NEAR) -> Spla
 
 @jax.jit
 def _project(parameters: tuple[Array, ...], camera: Camera, near: float) -> Splats:
-    def one(mean, log_scale, quat, logit):
-        return _project_one(mean, log_scale, quat, logit, camera, near)
-
     means, log_scales, quats, logits = parameters
-    # On whole matrices: the same checks inside of `one` make XLA's program five times slower.
-    usable = _usable(means, log_scales, quats, logits)
+    # As `invalid_rows`. On whole matrices: inside of the map, XLA's program is five times slower.
+    finite = jnp.isfinite(means).all(axis=1) & jnp.isfinite(quats).all(axis=1)
+    usable = finite & (log_scales <= MAX_LOG_SCALE).all(axis=1) & ~jnp.isnan(logits)
     # Placeholders before any arithmetic: 0 times the derivative of a NaN would be NaN.
     means, log_scales, quats = (
         _columns(jnp.where(usable[:, None], x, 0.0)) for x in (means, log_scales, quats)
     )
-    return jax.vmap(one)(means, log_scales, quats, jnp.where(usable, logits, TRANSPARENT_LOGIT))
+    logits = jnp.where(usable, logits, TRANSPARENT_LOGIT)
+    each = jax.vmap(_project_one, in_axes=(0, 0, 0, 0, None, None))
+    return each(means, log_scales, quats, logits, camera, near)
 
 
 @jax.custom_vjp
@@ -138,12 +138,6 @@ def _project_one(mean, log_scale, quat, logit, camera: Camera, near) -> Splats:
         depths=jnp.where(visible, depth, 0.0),
         visible=visible,
     )
-
-
-def _usable(means, log_scales, quats, logits):
-    """Mask of the rows that can be rendered, as `invalid_rows` defines it, shape (N,)."""
-    finite = jnp.isfinite(means).all(axis=1) & jnp.isfinite(quats).all(axis=1)
-    return finite & (log_scales <= MAX_LOG_SCALE).all(axis=1) & ~jnp.isnan(logits)
 
 
 def _image_axes(slope_x, slope_y, z, camera: Camera):

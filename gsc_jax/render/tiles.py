@@ -17,9 +17,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
+from scipy.sparse import csr_array
 
 from gsc_jax.render.projection import NEAR, Splats, project
-from gsc_jax.scene import Array, Camera, Gaussians, InputError
+from gsc_jax.scene import Array, Camera, Gaussians, InputError, pytree
 from gsc_jax.scene.pytree import STATIC
 
 TILE = 8
@@ -33,8 +34,7 @@ MIN_LOCKSTEP, MIN_GROUPS = 16, 8
 """Small views have smaller groups, because a group is only done when its longest list ends."""
 
 
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@pytree
 class View:
     """A scene projected and binned for a camera: all that W and its adjoint need.
 
@@ -93,8 +93,15 @@ def bin_view(splats: Splats, camera: Camera, *, lockstep: int | None = None) -> 
     """Bin projected Gaussians: the second half of `make_view`."""
     if lockstep is not None and not (isinstance(lockstep, int | np.integer) and lockstep >= 1):
         raise ValueError(f"lockstep must be a whole number above 0, got {lockstep}")
+    known = jax.lax.stop_gradient(splats)
+    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(known)):
+        raise TypeError(
+            "the lists of a view depend on the values of the Gaussians, which are not known under "
+            "jax.jit or jax.vmap; build the view outside with make_view, and use "
+            "reprojected(view, gaussians, camera) inside"
+        )
     table = splat_table(splats)  # asynchronous: JAX computes it while NumPy bins
-    lists = bin_splats(_concrete(splats), camera.width, camera.height)
+    lists = bin_splats(known, camera.width, camera.height)
     tiles = len(lists.counts)
     if lockstep is None:
         cpu = int(np.clip(tiles // MIN_GROUPS, MIN_LOCKSTEP, CPU_LOCKSTEP))
@@ -108,18 +115,6 @@ def bin_view(splats: Splats, camera: Camera, *, lockstep: int | None = None) -> 
         lockstep=lockstep,
         **_longest_first(lists.starts, lists.counts, lockstep),
     )
-
-
-def _concrete(splats: Splats) -> Splats:
-    """The splats without derivatives; raises TypeError if their values are not known."""
-    splats = jax.lax.stop_gradient(splats)
-    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(splats)):
-        raise TypeError(
-            "the lists of a view depend on the values of the Gaussians, which are not known under "
-            "jax.jit or jax.vmap; build the view outside with make_view, and use "
-            "reprojected(view, gaussians, camera) inside"
-        )
-    return splats
 
 
 def restricted(view: View, rows: np.ndarray) -> View:
@@ -188,8 +183,10 @@ def bin_splats(splats: Splats, width: int, height: int) -> TileLists:
     first, widths = _tile_range(left, right, columns)
     covered = _expanded(row * columns + first, widths)
     ends = _ends(widths).take(_ends(heights))  # of the tiles of each splat, over all of its rows
-    places, bounds = _by_tile(covered, ends, rows * columns)
-    return TileLists(ids=order.take(places), starts=bounds[:-1], counts=np.diff(bounds))
+    ones, shape = np.ones(len(covered), np.int8), (len(order), rows * columns)
+    by_tile = csr_array((ones, covered, ends), shape=shape).tocsc()  # the transpose
+    starts, counts = by_tile.indptr[:-1], np.diff(by_tile.indptr)
+    return TileLists(ids=order.take(by_tile.indices), starts=starts, counts=counts)
 
 
 def _front_to_back(depths: np.ndarray, visible: np.ndarray) -> np.ndarray:
@@ -215,15 +212,6 @@ def _expanded(first: np.ndarray, lengths: np.ndarray) -> np.ndarray:
     """Concatenate the ranges first, first + 1, ... of these lengths."""
     ends = _ends(lengths)
     return np.repeat(first - ends[:-1], lengths) + np.arange(ends[-1], dtype=np.int32)
-
-
-def _by_tile(covered: np.ndarray, ends: np.ndarray, tiles: int) -> tuple[np.ndarray, np.ndarray]:
-    """Transpose the sparse matrix of splats (in depth order) and the tiles that they cover."""
-    from scipy.sparse import csr_array
-
-    ones = np.ones(len(covered), np.int8)
-    by_tile = csr_array((ones, covered, ends), shape=(len(ends) - 1, tiles)).tocsc()
-    return by_tile.indices, by_tile.indptr
 
 
 class Ellipses(NamedTuple):

@@ -51,12 +51,11 @@ def check_views(
     points = opaque_means(gaussians)
     count = min(len(points), MAX_POINTS)
     points = points[np.linspace(0, len(points) - 1, count).astype(np.int64)]
-    viewmats = [np.asarray(camera.viewmat, np.float64) for camera in cameras]
-    depths = _depths(points, viewmats, cameras)
+    depths = _depths(points, cameras)
     seen = depths > near
     share, share_ahead = seen.any(axis=0).mean(), (depths > 0).any(axis=0).mean()
     if share_ahead < MIN_SHARE:
-        advice = _better_convention(points, viewmats, cameras) or NO_CONVENTION
+        advice = _better_convention(points, cameras) or NO_CONVENTION
         raise InputError(f"the cameras see {share_ahead:.2%} of the Gaussians{advice}")
     if share < MIN_SHARE:
         raise InputError(_near_message(depths, near))
@@ -68,17 +67,16 @@ def check_views(
     blind = [camera.name for camera, row in zip(cameras, depths, strict=True) if not row.any()]
     if blind:
         names = ", ".join(blind[:5]) + (", ..." if len(blind) > 5 else "")
-        advice = _better_convention(points, viewmats, cameras)
+        advice = _better_convention(points, cameras)
         warnings.append(f"{len(blind)} of {len(cameras)} cameras see nothing: {names}{advice}")
     return warnings
 
 
-def _depths(
-    points: np.ndarray, viewmats: Sequence[np.ndarray], cameras: Sequence[Camera]
-) -> np.ndarray:
+def _depths(points: np.ndarray, cameras: Sequence[Camera], convert=np.asarray) -> np.ndarray:
     """Depths of the points inside each image, 0 outside of it, shape (cameras, points)."""
     depths = np.zeros((len(cameras), len(points)), np.float32)
-    for row, viewmat, camera in zip(depths, viewmats, cameras, strict=True):
+    for row, camera in zip(depths, cameras, strict=True):
+        viewmat = convert(np.asarray(camera.viewmat, np.float64))
         pixels = (points @ viewmat[:3, :3].T + viewmat[:3, 3]) @ np.asarray(camera.K, np.float64).T
         u, v, z = pixels.T
         inside = (u >= 0) & (u <= camera.width * z) & (v >= 0) & (v <= camera.height * z)
@@ -86,15 +84,12 @@ def _depths(
     return depths
 
 
-def _better_convention(
-    points: np.ndarray, viewmats: Sequence[np.ndarray], cameras: Sequence[Camera]
-) -> str:
+def _better_convention(points: np.ndarray, cameras: Sequence[Camera]) -> str:
     """Advice to read the poses in another convention, if the median camera then sees far more."""
 
     def median_share(convert) -> float:
         # The median, because a few cameras see the scene by chance in any wrong convention.
-        depths = _depths(points, [*map(convert, viewmats)], cameras)
-        return float(np.median(np.mean(depths > 0, axis=1)))
+        return float(np.median(np.mean(_depths(points, cameras, convert) > 0, axis=1)))
 
     shares = {convention: median_share(convert) for convention, convert in CONVENTIONS.items()}
     best = max(shares, key=shares.__getitem__)

@@ -2,16 +2,14 @@
 
 import dataclasses
 
-import jax
 import numpy as np
 
 from gsc_jax.scene.errors import in_range
 from gsc_jax.scene.gaussians import Array
-from gsc_jax.scene.pytree import STATIC
+from gsc_jax.scene.pytree import STATIC, pytree
 
 
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@pytree
 class Camera:
     """A pinhole camera. Width, height and name are static, the rest are leaves.
 

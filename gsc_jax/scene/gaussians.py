@@ -116,25 +116,24 @@ def invalid_rows(gaussians: Gaussians) -> dict[str, np.ndarray]:
     """
     check_shapes(gaussians)
     host = jax.tree.map(np.asarray, gaussians)
-    quats = np.isfinite(host.quats).all(axis=1)
     return {
         "position not finite": ~np.isfinite(host.means).all(axis=1),
         "scale not finite": ~(np.isfinite(host.log_scales) | np.isneginf(host.log_scales)).all(1),
         "scale too large (is it in log space?)": (host.log_scales > MAX_LOG_SCALE).any(axis=1),
-        "rotation not finite": ~quats,
+        "rotation not finite": ~np.isfinite(host.quats).all(axis=1),
         "rotation zero": (host.quats == 0).all(axis=1),
         "opacity not a number": np.isnan(host.logit_opacities),
         "colour not finite": ~np.isfinite(host.sh).all(axis=(1, 2)),
-        "number out of all bounds": _out_of_bounds(host.means, axis=1)
-        | _out_of_bounds(host.quats, axis=1)
-        | _out_of_bounds(host.sh, axis=(1, 2)),
+        "number out of all bounds": _out_of_bounds(host.means)
+        | _out_of_bounds(host.quats)
+        | _out_of_bounds(host.sh),
     }
 
 
-def _out_of_bounds(values: np.ndarray, axis: int | tuple[int, ...]) -> np.ndarray:
+def _out_of_bounds(values: np.ndarray) -> np.ndarray:
     """Rows with a number of a magnitude above `MAX_MAGNITUDE`; without a copy of the numbers."""
-    above, below = values > MAX_MAGNITUDE, values < -MAX_MAGNITUDE
-    return np.asarray(above.any(axis=axis) | below.any(axis=axis))
+    outside = (values > MAX_MAGNITUDE) | (values < -MAX_MAGNITUDE)
+    return np.asarray(outside.any(axis=tuple(range(1, values.ndim))))
 
 
 def usable_rows(gaussians: Gaussians) -> np.ndarray:

@@ -4,6 +4,8 @@ import dataclasses
 from typing import Any
 
 import numpy as np
+from scipy.sparse import csr_array
+from scipy.spatial import KDTree
 
 from gsc_jax.scene.parallel import blocks, in_blocks, workers
 
@@ -17,8 +19,6 @@ def order_of_leaves(points: np.ndarray) -> np.ndarray:
     Searches and means in this order are two to four times as fast, since they read the memory that
     the one before has read.
     """
-    from scipy.spatial import KDTree
-
     return KDTree(points, balanced_tree=False).indices
 
 
@@ -27,8 +27,6 @@ def nearest_neighbours(points: np.ndarray, rows: np.ndarray, count: int) -> np.n
 
     Returns indices into `points`, nearest first, shape (M, count) int32.
     """
-    from scipy.spatial import KDTree
-
     tree = KDTree(points, compact_nodes=False, balanced_tree=False)
 
     def nearest(some: np.ndarray) -> np.ndarray:
@@ -72,9 +70,6 @@ class Neighbourhoods:
 
 def neighbourhoods(points: np.ndarray, k: int) -> Neighbourhoods:
     """Find the k nearest neighbours of N > k finite points (N, 3), fastest in `order_of_leaves`."""
-    from scipy.sparse import csr_array
-    from scipy.spatial import KDTree
-
     tree, shape = KDTree(points, balanced_tree=False), (len(points), k)
     nearest, distances = np.empty(shape, np.int32), np.empty(shape, np.float32)
     for block in blocks(len(points)):  # SciPy's results take four times the memory

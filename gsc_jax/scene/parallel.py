@@ -17,9 +17,15 @@ BLOCK = 2**16
 """Rows per block: their intermediate results take a hundred megabytes at most."""
 
 
+def usable_cores() -> list[int]:
+    """The cores that this process may use; all of the machine where the system does not tell."""
+    affinity = getattr(os, "sched_getaffinity", None)  # not on macOS and Windows
+    return sorted(affinity(0)) if affinity else list(range(os.cpu_count() or 1))
+
+
 def workers() -> int:
     """Threads for a device: one for each core while NumPy and XLA compute, at most two."""
-    return min(2, len(os.sched_getaffinity(0))) if hasattr(os, "sched_getaffinity") else 2
+    return min(2, len(usable_cores()))
 
 
 def view_threads() -> ThreadPoolExecutor:

@@ -64,12 +64,13 @@ def found(tmp_path_factory):
 class TestResultsOfLocate:
     def test_the_scene_and_its_scores_are_those_of_the_run(self, found):
         located, results = found
-        np.testing.assert_array_equal(results.gaussians.means, located.scene.gaussians.means)
-        np.testing.assert_array_equal(results.rows, located.scene.rows)
+        np.testing.assert_array_equal(results.scene.gaussians.means, located.scene.gaussians.means)
+        np.testing.assert_array_equal(results.scene.rows, located.scene.rows)
         np.testing.assert_array_equal(results.tamper, located.result.tamper)
         np.testing.assert_array_equal(results.labels, located.result.labels)
-        np.testing.assert_array_equal(results.labels, results.tamper > results.threshold)
-        assert results.total == len(results.rows) + 1 == 200
+        threshold = results.report["config"]["threshold"]
+        np.testing.assert_array_equal(results.labels, results.tamper > threshold)
+        assert results.scene.total == len(results.scene.rows) + 1 == 200
 
     def test_the_cameras_are_those_of_the_run_at_its_scale(self, found):
         located, results = found
@@ -85,9 +86,9 @@ class TestFolder:
     def test_rows_that_cannot_be_rendered_are_left_out(self, folder):
         results = read_results(folder)
         expected = np.setdiff1d(np.arange(COUNT), BROKEN)
-        np.testing.assert_array_equal(results.rows, expected)
-        assert results.total == COUNT
-        assert len(results.gaussians) == len(results.tamper) == len(results.labels)
+        np.testing.assert_array_equal(results.scene.rows, expected)
+        assert results.scene.total == COUNT
+        assert len(results.scene.gaussians) == len(results.tamper) == len(results.labels)
         assert results.tamper.dtype == np.float32
         assert results.labels.dtype == bool
 

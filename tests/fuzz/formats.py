@@ -414,9 +414,9 @@ def _make_results(rng: Random | None, folder: Path) -> Path:
 def _check_results(path: Path) -> None:
     """Read results and state what the viewer says about them."""
     results = read_results(path)
-    assert len(results.tamper) == len(results.labels) == len(results.gaussians)
+    assert len(results.tamper) == len(results.labels) == len(results.scene.gaussians)
     assert ((results.tamper >= 0) & (results.tamper <= 1)).all()
-    assert math.isfinite(results.threshold)
+    assert math.isfinite(results.report["config"]["threshold"])
     _check_numbers(results.cameras)
     counts, verdict = results.report["counts"], results.report.get("verdict")
     assert "nan" not in headline(verdict, counts["tampered"]) + labels_sentence(

@@ -21,8 +21,6 @@ from urllib.parse import urlsplit
 if TYPE_CHECKING:
     from websockets.http11 import Request
 
-LOCALHOST = "localhost"
-
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Access:
@@ -40,23 +38,18 @@ class Access:
         """Path of a request behind the token; None if the request is refused."""
         hosts, origins = (request.headers.get_all(name) for name in ("Host", "Origin"))
         try:
-            strange = any(urlsplit(origin).netloc != hosts[0] for origin in origins)
-            if strange or len(hosts) != 1 or not self._is_own(urlsplit(f"//{hosts[0]}").hostname):
+            if len(hosts) != 1 or any(urlsplit(origin).netloc != hosts[0] for origin in origins):
                 return None
-        except (ValueError, IndexError):  # not an address, or no Host at all
+            name = urlsplit(f"//{hosts[0]}").hostname
+            if name not in {"localhost", self.host.lower(), socket.gethostname().lower()}:
+                ipaddress.ip_address(name or "")  # which is no attacker's name
+        except ValueError:  # neither a name of this machine nor an address
             return None
         path, mark, query = request.path.partition("?")
         token, _, rest = path.removeprefix("/").partition("/")
         if not secrets.compare_digest(token.encode(errors="replace"), self.token.encode()):
             return None
         return f"/{rest}{mark}{query}"
-
-    def _is_own(self, name: str | None) -> bool:
-        """Whether a Host names this machine, or is an address, which is no attacker's name."""
-        if name in {LOCALHOST, self.host.lower(), socket.gethostname().lower()}:
-            return True
-        ipaddress.ip_address(name or "")  # else ValueError
-        return True
 
 
 @contextlib.contextmanager

@@ -19,25 +19,21 @@ MIN_LEVEL = 0.2
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Pose:
-    """A camera in OpenCV axes.
+    """A camera as viser places it: level with the scene, and looking at a point.
 
     Attributes:
         name: Name of the camera.
-        wxyz: Rotation from camera to world as a unit quaternion, shape (4,).
         position: World units, shape (3,).
         look_at: Point in the middle of the image at the median depth, shape (3,).
         up: Unit up direction of the image, level with the scene if possible, shape (3,).
         fov: Vertical field of view in radians.
-        aspect: Width over height.
     """
 
     name: str
-    wxyz: np.ndarray
     position: np.ndarray
     look_at: np.ndarray
     up: np.ndarray
     fov: float
-    aspect: float
 
 
 def pose(camera: Camera, means: Array, *, up: Array, near: float = NEAR) -> Pose:
@@ -46,8 +42,6 @@ def pose(camera: Camera, means: Array, *, up: Array, near: float = NEAR) -> Pose
     The depth of what it looks at comes from the `means` of some or all Gaussians, (N, 3), beyond
     the near plane; `up` is the unit up direction of the scene.
     """
-    from scipy.spatial.transform import Rotation
-
     rotation, K = np.asarray(camera.viewmat, np.float64)[:3, :3], np.asarray(camera.K, np.float64)
     right, down, forward = rotation
     position = np.asarray(camera.center, np.float64)
@@ -59,12 +53,10 @@ def pose(camera: Camera, means: Array, *, up: Array, near: float = NEAR) -> Pose
     is_level = level @ -down > MIN_LEVEL
     return Pose(
         name=camera.name,
-        wxyz=Rotation.from_matrix(rotation.T).as_quat(scalar_first=True),
         position=position,
         look_at=position + depth * forward,
         up=level / np.linalg.norm(level) if is_level else -down,
         fov=2 * float(np.arctan(half_height)),
-        aspect=half_width / half_height,
     )
 
 
@@ -110,9 +102,10 @@ class Contents:
 
 def viewer_contents(results: Results, *, most: int) -> tuple[Contents, list[str]]:
     """Contents with at most `most` Gaussians, and notes for the user."""
-    rows = largest(results.gaussians, most, first=results.labels)
-    chosen = splats(results.gaussians.take(rows))
-    means = np.asarray(results.gaussians.means)
+    gaussians = results.scene.gaussians
+    rows = largest(gaussians, most, first=results.labels)
+    chosen = splats(gaussians.take(rows))
+    means = np.asarray(gaussians.means)
     sample = means[np.linspace(0, len(means) - 1, min(len(means), MAX_DEPTH_SAMPLES)).astype(int)]
     near = float(results.report["config"]["near"])
     up = mean_up(results.cameras)
@@ -124,9 +117,9 @@ def viewer_contents(results: Results, *, most: int) -> tuple[Contents, list[str]
         sentences=_sentences(results),
         splats=chosen,
         score=results.tamper[rows],
-        threshold=results.threshold,
+        threshold=float(results.report["config"]["threshold"]),
         tint=CANDIDATE if are_candidates(results.report.get("verdict")) else TINT,
-        rows=results.rows[rows],
+        rows=results.scene.rows[rows],
         folder=results.folder,
         poses=poses,
         up=up,

@@ -10,15 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gsc_jax.cli.viewer.contents import Contents, Pose, count_sentence, legend
+from gsc_jax.cli.viewer.contents import Contents, count_sentence, legend
 from gsc_jax.cli.viewer.selection import LayerInputs, add_selection
-from gsc_jax.cli.viewer.splats import (
-    LAYERS,
-    Layer,
-    Splats,
-    fit_half_precision,
-    half_precision_unit,
-)
+from gsc_jax.cli.viewer.splats import LAYERS, Layer, add_splats
 
 if TYPE_CHECKING:
     import viser
@@ -74,17 +68,22 @@ def add_layer_controls(server: "viser.ViserServer", contents: Contents) -> Layer
 
 def _add_camera_controls(server: "viser.ViserServer", contents: Contents) -> None:
     """Jump to the cameras, by name or one after the other."""
-    gui, poses = server.gui, contents.poses
-    names = [pose.name for pose in poses]
+    gui, names = server.gui, [pose.name for pose in contents.poses]
     set_first_view(server, contents)
     with gui.add_folder("cameras"):
         chosen = gui.add_dropdown("camera", names, initial_value=names[0])
         steps = gui.add_button_group("jump", ("previous", "here", "next"))
 
     def jump(client: "viser.ClientHandle | None", index: int) -> None:
-        if client is not None:
-            chosen.value = names[index % len(names)]
-            set_view(client, poses[index % len(names)])
+        if client is None:
+            return
+        pose = contents.poses[index % len(names)]
+        chosen.value = pose.name
+        with client.atomic():
+            client.camera.up_direction = pose.up
+            client.camera.position = pose.position
+            client.camera.look_at = pose.look_at
+            client.camera.fov = pose.fov
 
     @chosen.on_update
     def _(event: "viser.GuiEvent") -> None:
@@ -96,15 +95,6 @@ def _add_camera_controls(server: "viser.ViserServer", contents: Contents) -> Non
         jump(event.client, names.index(chosen.value) + step)
 
 
-def set_view(client: "viser.ClientHandle", pose: Pose) -> None:
-    """Move the view of one browser to a camera."""
-    with client.atomic():
-        client.camera.up_direction = pose.up
-        client.camera.position = pose.position
-        client.camera.look_at = pose.look_at
-        client.camera.fov = pose.fov
-
-
 def set_first_view(server: "viser.ViserServer", contents: Contents) -> None:
     """Start at the first camera."""
     first, start = server.initial_camera, contents.poses[0]
@@ -112,21 +102,6 @@ def set_first_view(server: "viser.ViserServer", contents: Contents) -> None:
     server.scene.world_axes.visible = False
     first.position, first.look_at, first.up = start.position, start.look_at, start.up
     first.fov, first.near, first.far = start.fov, contents.near, contents.far
-
-
-def add_splats(
-    server: "viser.ViserServer", name: str, splats: Splats
-) -> "viser.GaussianSplatHandle":
-    """Add splats as a node of the scene."""
-    unit = half_precision_unit(splats)
-    return server.scene.add_gaussian_splats(
-        name,
-        centers=splats.centers / unit,
-        covariances=fit_half_precision(splats.covariances / unit**2),
-        rgbs=splats.rgbs,
-        opacities=splats.opacities,
-        scale=unit,
-    )
 
 
 def add_layers(server: "viser.ViserServer", contents: Contents) -> None:

@@ -6,11 +6,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
 from gsc_jax.cli.results import read_by_row, result_file
 from gsc_jax.cli.viewer.contents import Contents
 from gsc_jax.cli.viewer.splats import Layer, Splats
 from gsc_jax.io.ply import read_ply, save_tampered
+from gsc_jax.render.projection import MIN_ALPHA
 
 if TYPE_CHECKING:
     import viser
@@ -47,20 +50,16 @@ def add_selection(server: "viser.ViserServer", contents: Contents, inputs: Layer
 
     @server.scene.on_click()
     def _(event: "viser.SceneClickEvent") -> None:
-        ray = np.array([event.ray_origin, event.ray_direction])
-        index = hit(contents.splats, visible(), *ray)
+        index = hit(contents.splats, visible(), event.ray_origin, event.ray_direction)
         text.content = HINT if index is None else describe(contents, index)
 
     @server.scene.on_rect_select(modifier="shift")
     def _(event: "viser.SceneRectSelectEvent") -> None:
-        corners = np.array([event.screen_min, event.screen_max])
         places = on_screen(contents.splats.centers, event.client.camera)
-        inside = ((places >= corners[0]) & (places <= corners[1])).all(axis=1)
+        inside = ((places >= event.screen_min) & (places <= event.screen_max)).all(axis=1)
         select(selected | (inside & (visible() > 0)))
 
-    @clear.on_click
-    def _(_: object) -> None:
-        select(np.zeros(len(selected), bool))
+    clear.on_click(lambda _: select(np.zeros(len(selected), bool)))
 
     @export.on_click
     def _(event: "viser.GuiEvent") -> None:
@@ -76,32 +75,28 @@ def add_selection(server: "viser.ViserServer", contents: Contents, inputs: Layer
 
 
 def hit(
-    splats: Splats, opacities: np.ndarray, origin: np.ndarray, direction: np.ndarray
+    splats: Splats, opacities: np.ndarray, origin: ArrayLike, direction: ArrayLike
 ) -> int | None:
     """The splat of largest blending weight along a ray; None if it hits none.
 
     `opacities`, (N,), are those that are drawn.
     """
-    direction = direction / np.linalg.norm(direction)
-    offset = splats.centers - origin
-    depth = offset @ direction
-    across = offset - depth[:, None] * direction
+    forward = np.asarray(direction) / np.linalg.norm(direction)
+    offset = splats.centers - np.asarray(origin)
+    depth = offset @ forward
+    across = offset - depth[:, None] * forward
     distance = np.linalg.norm(across, axis=1)
     side = across / np.maximum(distance, 1e-12)[:, None]
     variance = np.einsum("ni,nij,nj->n", side, splats.covariances, side)
     alpha = opacities * np.exp(-0.5 * distance**2 / np.maximum(variance, 1e-20))
-    order = np.argsort(depth)
-    order = order[(depth[order] > 0) & (alpha[order] > 1 / 255)]
-    if not len(order):
-        return None
-    transmitted = np.cumprod(np.append(1, 1 - alpha[order][:-1]))
-    return int(order[np.argmax(alpha[order] * transmitted)])
+    ahead = np.flatnonzero((depth > 0) & (alpha > MIN_ALPHA))
+    order = ahead[np.argsort(depth[ahead])]
+    weights = alpha[order] * np.cumprod(np.append(1, 1 - alpha[order]))[:-1]
+    return int(order[np.argmax(weights)]) if len(order) else None
 
 
 def on_screen(points: np.ndarray, camera: "viser.CameraHandle") -> np.ndarray:
     """Places on the screen, (0, 0) to (1, 1), of points (N, 3); NaN behind the camera."""
-    from scipy.spatial.transform import Rotation
-
     rotation = Rotation.from_quat(camera.wxyz, scalar_first=True)
     x, y, z = ((points - camera.position) @ rotation.as_matrix()).T
     z = np.where(z > 0, z, np.nan)

@@ -1,15 +1,18 @@
 """Gaussians as viser draws them: coloured ellipsoids without view-dependent colour."""
 
-import dataclasses
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
+import jax
 import numpy as np
 
 from gsc_jax.cli.pictures import TINT_STRENGTH
 from gsc_jax.io.ply import LUMA
 from gsc_jax.render.spherical_harmonics import Y0
-from gsc_jax.scene import Array, Gaussians
+from gsc_jax.scene import Array, Gaussians, pytree
 from gsc_jax.scene.gaussians import rotation_matrices
+
+if TYPE_CHECKING:
+    import viser
 
 Layer = Literal["result", "heat map", "original", "tampered only", "authentic only"]
 LAYERS: tuple[Layer, ...] = get_args(Layer)
@@ -21,7 +24,7 @@ TYPICAL_HALF, LARGEST_HALF = 0.1, 250.0
 """Typical and largest standard deviation whose square fits float16, in which viser stores it."""
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@pytree
 class Splats:
     """N ellipsoids, NumPy float32.
 
@@ -39,8 +42,7 @@ class Splats:
 
     def take(self, rows: np.ndarray) -> "Splats":
         """The ellipsoids of some rows, given as indices or as a mask."""
-        fields = dataclasses.fields(self)
-        return Splats(**{field.name: getattr(self, field.name)[rows] for field in fields})
+        return jax.tree.map(lambda field: field[rows], self)
 
 
 def splats(gaussians: Gaussians) -> Splats:
@@ -110,3 +112,18 @@ def fit_half_precision(covariances: np.ndarray) -> np.ndarray:
     spread = np.diagonal(covariances, axis1=1, axis2=2).max(axis=1)
     factors = np.minimum(1, LARGEST_HALF**2 / np.maximum(spread, 1e-30))
     return covariances * factors[:, None, None].astype(np.float32)
+
+
+def add_splats(
+    server: "viser.ViserServer", name: str, splats: Splats
+) -> "viser.GaussianSplatHandle":
+    """Add splats as a node of the scene."""
+    unit = half_precision_unit(splats)
+    return server.scene.add_gaussian_splats(
+        name,
+        centers=splats.centers / unit,
+        covariances=fit_half_precision(splats.covariances / unit**2),
+        rgbs=splats.rgbs,
+        opacities=splats.opacities,
+        scale=unit,
+    )

@@ -135,7 +135,7 @@ def shown(tmp_path_factory: pytest.TempPathFactory, browser: Browser) -> Shown:
     write_results(folder)
     found = read_results(folder)
     contents, _ = viewer_contents(found, most=10**6)
-    return Shown(browser=browser, contents=contents, gaussians=found.gaussians)
+    return Shown(browser=browser, contents=contents, gaussians=found.scene.gaussians)
 
 
 class TestWrittenPage:

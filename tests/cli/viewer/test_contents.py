@@ -25,7 +25,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
 
 def scaled(results: Results, size: float) -> Results:
     """The same results in another unit of length."""
-    gaussians = results.gaussians
+    gaussians = results.scene.gaussians
     gaussians = dataclasses.replace(
         gaussians,
         means=(size * np.asarray(gaussians.means)).astype(np.float32),
@@ -36,13 +36,14 @@ def scaled(results: Results, size: float) -> Results:
         viewmat = np.array(camera.viewmat)
         viewmat[:3, 3] *= size
         cameras.append(dataclasses.replace(camera, viewmat=viewmat))
-    return dataclasses.replace(results, gaussians=gaussians, cameras=cameras)
+    scene = dataclasses.replace(results.scene, gaussians=gaussians)
+    return dataclasses.replace(results, scene=scene, cameras=cameras)
 
 
 def test_contents_are_those_of_the_results(results: Results):
     contents, notes = viewer_contents(results, most=ALL)
     assert notes == []
-    assert len(contents.splats.centers) == len(results.gaussians)
+    assert len(contents.splats.centers) == len(results.scene.gaussians)
     np.testing.assert_array_equal(contents.score, results.tamper)
     assert [pose.name for pose in contents.poses] == [camera.name for camera in results.cameras]
     tampered = int(results.labels.sum())
@@ -58,10 +59,11 @@ def test_omitted_gaussians_are_reported(results: Results):
 
 def test_far_plane_includes_outliers(results: Results, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(module, "MAX_DEPTH_SAMPLES", 10)
-    means = np.array(results.gaussians.means)
+    means = np.array(results.scene.gaussians.means)
     means[1001] = [0, 0, 500]
-    gaussians = dataclasses.replace(results.gaussians, means=means)
-    contents, _ = viewer_contents(dataclasses.replace(results, gaussians=gaussians), most=ALL)
+    gaussians = dataclasses.replace(results.scene.gaussians, means=means)
+    scene = dataclasses.replace(results.scene, gaussians=gaussians)
+    contents, _ = viewer_contents(dataclasses.replace(results, scene=scene), most=ALL)
     for pose in contents.poses:
         distances = np.linalg.norm(contents.splats.centers - pose.position, axis=1)
         assert distances.max() < contents.far < 2000

@@ -7,12 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from results_folder import write_results
+from scipy.spatial.transform import Rotation
 
 from gsc_jax.cli.results import read_results
 from gsc_jax.cli.viewer.contents import viewer_contents
 from gsc_jax.cli.viewer.selection import describe, exported, hit, on_screen
 from gsc_jax.cli.viewer.splats import Splats
 from gsc_jax.io.ply import read_ply
+from gsc_jax.render.orbit import look_at
 from gsc_jax.render.projection import project_centers
 
 
@@ -60,26 +62,19 @@ def test_a_click_shows_the_values_in_the_file(contents):
 @given(st.integers(0, 2), st.integers(0, 2**32 - 1))
 def test_places_on_the_screen_are_those_of_the_renderer(contents, view, seed):
     pose = contents.poses[view]
-    camera = SimpleNamespace(wxyz=pose.wxyz, position=pose.position, fov=pose.fov, aspect=1.5)
+    viewmat = look_at(pose.position, pose.look_at, pose.up)
+    wxyz = Rotation.from_matrix(viewmat[:3, :3].T).as_quat(scalar_first=True)
+    camera = SimpleNamespace(wxyz=wxyz, position=pose.position, fov=pose.fov, aspect=1.5)
     points = pose.look_at + np.random.default_rng(seed).normal(size=(20, 3)) * 0.2
     height, width = 400, 600
     focal = height / 2 / np.tan(pose.fov / 2)
     K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]], np.float32)
-    viewmat = np.eye(4, dtype=np.float32)
-    viewmat[:3, :3] = rotation = _matrix(pose.wxyz).T
-    viewmat[:3, 3] = -rotation @ pose.position
     pixels, depths = project_centers(points.astype(np.float32), viewmat, K)
     ahead = np.asarray(depths) > 0.1
     places = on_screen(points, camera)  # pyright: ignore[reportArgumentType]
     expected = np.asarray(pixels) / [width, height]
     np.testing.assert_allclose(places[ahead], expected[ahead], atol=1e-3)
     assert np.isnan(on_screen(pose.position - 2 * (points - pose.position), camera)).any()  # pyright: ignore[reportArgumentType]
-
-
-def _matrix(wxyz):
-    from scipy.spatial.transform import Rotation
-
-    return Rotation.from_quat(wxyz, scalar_first=True).as_matrix()
 
 
 def test_exports_are_rows_of_the_file_with_all_properties(contents, tmp_path):

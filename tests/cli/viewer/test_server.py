@@ -57,7 +57,7 @@ class TestRunView:
 
         def read(path: Path, **limits):
             results = read_results(path, **limits)
-            references.extend([weakref.ref(results), weakref.ref(results.gaussians)])
+            references.extend([weakref.ref(results), weakref.ref(results.scene.gaussians)])
             return results
 
         monkeypatch.setattr(viewer, "read_results", read)

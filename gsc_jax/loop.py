@@ -18,7 +18,7 @@ from gsc_jax.evidence.lifting import Evidence, EvidenceOfViews
 from gsc_jax.losses import loss_2d, loss_2d_from_evidence, loss_3d, partition
 from gsc_jax.render.tiles import View
 from gsc_jax.scene import Array
-from gsc_jax.scene.pytree import STATIC, pytree
+from gsc_jax.scene.pytree import STATIC
 from gsc_jax.splat import composite
 
 MAX_WEIGHT = 1e6
@@ -26,7 +26,8 @@ MAX_WEIGHT = 1e6
 number of pixels; up to here the squares stay finite in float32."""
 
 
-@pytree
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class LoopConfig:
     """Weights and schedule; all but `per_feature` may be traced, so that `fit` can be vmapped.
 

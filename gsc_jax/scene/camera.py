@@ -2,14 +2,16 @@
 
 import dataclasses
 
+import jax
 import numpy as np
 
 from gsc_jax.scene.errors import in_range
 from gsc_jax.scene.gaussians import Array
-from gsc_jax.scene.pytree import STATIC, pytree
+from gsc_jax.scene.pytree import STATIC
 
 
-@pytree
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class Camera:
     """A pinhole camera. Width, height and name are static, the rest are leaves.
 

@@ -47,7 +47,7 @@ def main(args: Args) -> None:
     groups = results.labels, ~results.labels
     if not all(group.any() for group in groups):
         raise InputError(f"{args.found}: all Gaussians have the same label; nothing to compare")
-    drawn = list(attributes(results.gaussians))
+    drawn = list(attributes(results.scene.gaussians))
     rows = -(-len(drawn) // COLUMNS)
     size = (3.1 * COLUMNS, 2.3 * rows)
     figure, axes = plt.subplots(rows, COLUMNS, figsize=size, squeeze=False, layout="constrained")

@@ -148,8 +148,11 @@ def save_tampered(
 
     Every row, property, element and comment is kept, in order and type; an existing property
     `tamper` is replaced. The output is binary little endian and may replace the file that was read.
-    Scores have shape (N,); excluded rows get 0. `keep`, (total,) bool, selects rows to write.
+    Scores have shape (N,); excluded rows get 0. With `keep`, (total,) bool, only some rows are
+    written; InputError if none of them can be rendered. Indices in other elements do not follow.
     """
+    if keep is not None and not keep[scene.rows].any():
+        raise InputError(f"{path}: not written: no Gaussian was chosen; choose some")
     chosen = slice(None) if keep is None else np.flatnonzero(keep)
     scores, vertex = checked_scores(path, tamper, len(scene.rows)), copy.copy(scene.ply["vertex"])
     scores, data = scene.expand(scores)[chosen], vertex.data[chosen]

@@ -20,7 +20,7 @@ from jax.core import Tracer
 from scipy.sparse import csr_array
 
 from gsc_jax.render.projection import NEAR, Splats, project
-from gsc_jax.scene import Array, Camera, Gaussians, InputError, pytree
+from gsc_jax.scene import Array, Camera, Gaussians, InputError
 from gsc_jax.scene.pytree import STATIC
 
 TILE = 8
@@ -34,7 +34,8 @@ MIN_LOCKSTEP, MIN_GROUPS = 16, 8
 """Small views have smaller groups, because a group is only done when its longest list ends."""
 
 
-@pytree
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class View:
     """A scene projected and binned for a camera: all that W and its adjoint need.
 

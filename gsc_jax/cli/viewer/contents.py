@@ -76,7 +76,8 @@ class Contents:
         threshold: Score above which the run labelled a Gaussian as tampered.
         tint: Colour of the labelled Gaussians, shape (3,).
         rows: Rows of the splats in the scene file, shape (N,) int64.
-        folder: The folder of results.
+        folder: The folder of results, in the `version` that is shown.
+        max_bytes: Memory that reading it again may take; None for the default.
         up: Unit up direction, shape (3,).
         near: Near plane in world units.
         far: Far plane: twice the diagonal of the box around all splats, cameras and their targets.
@@ -90,6 +91,8 @@ class Contents:
     tint: np.ndarray
     rows: np.ndarray
     folder: Path
+    version: object
+    max_bytes: int | None
     poses: list[Pose]
     up: np.ndarray
     near: float
@@ -100,7 +103,15 @@ class Contents:
         return layer_colours(self.splats, self.score, layer, threshold, tint=self.tint)
 
 
-def viewer_contents(results: Results, *, most: int) -> tuple[Contents, list[str]]:
+def version(folder: Path) -> object:
+    """Changes with the results in a folder."""
+    status = (folder / "result.json").stat()
+    return status.st_mtime_ns, status.st_size
+
+
+def viewer_contents(
+    results: Results, *, most: int, max_bytes: int | None = None
+) -> tuple[Contents, list[str]]:
     """Contents with at most `most` Gaussians, and notes for the user."""
     gaussians = results.scene.gaussians
     rows = largest(gaussians, most, first=results.labels)
@@ -121,6 +132,8 @@ def viewer_contents(results: Results, *, most: int) -> tuple[Contents, list[str]
         tint=CANDIDATE if are_candidates(results.report.get("verdict")) else TINT,
         rows=results.scene.rows[rows],
         folder=results.folder,
+        version=version(results.folder),
+        max_bytes=max_bytes,
         poses=poses,
         up=up,
         near=near,

@@ -42,7 +42,7 @@ def add_layer_controls(server: "viser.ViserServer", contents: Contents) -> Layer
     count = gui.add_markdown("")
     gui.add_html(legend())
     lock, selected = threading.Lock(), np.zeros(len(contents.score), bool)
-    sent: object = (LAYERS[0], contents.threshold, 0)
+    sent: object = (LAYERS[0], contents.threshold, selected.tobytes())
 
     def update(_: object = None) -> None:
         nonlocal sent
@@ -52,7 +52,7 @@ def add_layer_controls(server: "viser.ViserServer", contents: Contents) -> Layer
             chosen: Layer = layer.value
             count.content = count_sentence(contents.score, threshold.value)
             at = threshold.value if chosen in AT_THRESHOLD else 0.0
-            wanted = chosen, at, int(selected.sum())  # a selection grows, or is cleared
+            wanted = chosen, at, selected.tobytes()
             if wanted == sent:
                 return
             sent = wanted

@@ -1,6 +1,8 @@
 """Selection in the served viewer: a click describes a Gaussian, boxes collect some for a file."""
 
+import html
 import tempfile
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -10,10 +12,11 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from gsc_jax.cli.results import read_by_row, result_file
-from gsc_jax.cli.viewer.contents import Contents
+from gsc_jax.cli.viewer.contents import Contents, version
 from gsc_jax.cli.viewer.splats import Layer, Splats
 from gsc_jax.io.ply import read_ply, save_tampered
 from gsc_jax.render.projection import MIN_ALPHA
+from gsc_jax.scene import InputError
 
 if TYPE_CHECKING:
     import viser
@@ -33,7 +36,7 @@ class LayerInputs(NamedTuple):
 
 def add_selection(server: "viser.ViserServer", contents: Contents, inputs: LayerInputs) -> None:
     """Add clicks, boxes, and exports of parts of the scene to a server."""
-    gui, selected = server.gui, inputs.selected
+    gui, selected, lock = server.gui, inputs.selected, threading.Lock()
     with gui.add_folder("selection"):
         text = gui.add_markdown(HINT)
         clear = gui.add_button("clear selection")
@@ -43,9 +46,10 @@ def add_selection(server: "viser.ViserServer", contents: Contents, inputs: Layer
     def visible() -> np.ndarray:
         return contents.colours(inputs.layer.value, inputs.threshold.value)[1][:, 0]
 
-    def select(rows: np.ndarray) -> None:
-        selected[:] = rows
-        text.content = f"{int(selected.sum()):,} Gaussians are selected. {HINT}"
+    def select(rows: np.ndarray | None) -> None:
+        with lock:
+            selected[:] = False if rows is None else selected | rows
+            text.content = f"{int(selected.sum()):,} Gaussians are selected. {HINT}"
         inputs.update()
 
     @server.scene.on_click()
@@ -57,19 +61,21 @@ def add_selection(server: "viser.ViserServer", contents: Contents, inputs: Layer
     def _(event: "viser.SceneRectSelectEvent") -> None:
         places = on_screen(contents.splats.centers, event.client.camera)
         inside = ((places >= event.screen_min) & (places <= event.screen_max)).all(axis=1)
-        select(selected | (inside & (visible() > 0)))
+        select(inside & (visible() > 0))
 
-    clear.on_click(lambda _: select(np.zeros(len(selected), bool)))
+    clear.on_click(lambda _: select(None))
 
     @export.on_click
     def _(event: "viser.GuiEvent") -> None:
+        rows = contents.rows[selected] if part.value.endswith("selected") else None
+        keep, threshold = part.value.startswith("only"), inputs.threshold.value
+        try:
+            with lock:  # one at a time: each takes the memory of the whole scene
+                content = exported(contents, rows, threshold=threshold, keep=keep)
+        except (InputError, OSError) as error:
+            text.content = html.escape(str(error))
+            return
         if event.client is not None:
-            rows = contents.rows[selected] if part.value.endswith("selected") else None
-            keep, threshold = part.value.startswith("only"), inputs.threshold.value
-            content = exported(contents.folder, rows, threshold=threshold, keep=keep)
-            if content is None:
-                text.content = f"There are no Gaussians to export. {HINT}"
-                return
             name = f"{contents.title} {part.value}.ply".replace(" ", "_")
             event.client.send_file_download(name, content)
 
@@ -81,14 +87,14 @@ def hit(
 
     `opacities`, (N,), are those that are drawn.
     """
-    forward = np.asarray(direction) / np.linalg.norm(direction)
     offset = splats.centers - np.asarray(origin)
-    depth = offset @ forward
-    across = offset - depth[:, None] * forward
-    distance = np.linalg.norm(across, axis=1)
-    side = across / np.maximum(distance, 1e-12)[:, None]
-    variance = np.einsum("ni,nij,nj->n", side, splats.covariances, side)
-    alpha = opacities * np.exp(-0.5 * distance**2 / np.maximum(variance, 1e-20))
+    basis = np.linalg.svd(np.asarray(direction)[None])[2]  # along the ray, and across it
+    depth, across = offset @ basis[0] * np.sign(basis[0] @ direction), offset @ basis[1:].T
+    plane = basis[1:] @ splats.covariances @ basis[1:].T
+    spread = np.trace(plane, axis1=1, axis2=2)[:, None, None]
+    plane += np.eye(2) * (1e-6 * spread + 1e-30)
+    squared = (across * np.linalg.solve(plane, across[:, :, None])[..., 0]).sum(axis=1)
+    alpha = opacities * np.exp(-0.5 * squared)
     ahead = np.flatnonzero((depth > 0) & (alpha > MIN_ALPHA))
     order = ahead[np.argsort(depth[ahead])]
     weights = alpha[order] * np.cumprod(np.append(1, 1 - alpha[order]))[:-1]
@@ -107,12 +113,11 @@ def on_screen(points: np.ndarray, camera: "viser.CameraHandle") -> np.ndarray:
 def describe(contents: Contents, index: int) -> str:
     """Values of a Gaussian as a table in Markdown."""
     splats = contents.splats
-    deviations = np.sqrt(np.maximum(np.linalg.eigvalsh(splats.covariances[index]), 0))[::-1]
     facts = {
         "row": f"{contents.rows[index]:,}",
         "score": f"{contents.score[index]:.3f}",
         "position": _numbers(splats.centers[index]),
-        "scales": _numbers(deviations),
+        "scales": _numbers(splats.scales[index]),
         "opacity": f"{splats.opacities[index, 0]:.3f}",
         "colour": _numbers(splats.rgbs[index]),
     }
@@ -124,19 +129,18 @@ def _numbers(values: np.ndarray) -> str:
     return ", ".join(f"{value:.3g}" for value in values)
 
 
-def exported(
-    folder: Path, rows: np.ndarray | None, *, threshold: float, keep: bool
-) -> bytes | None:
-    """The .ply of a folder of results with some of its rows; None if there are none.
+def exported(contents: Contents, rows: np.ndarray | None, *, threshold: float, keep: bool) -> bytes:
+    """The .ply of the results with some of its rows.
 
     These are the given ones, or by default those with a score above the threshold; all others if
-    `keep` is false.
+    `keep` is false. InputError if there are none, or the results have changed.
     """
-    scene = read_ply(result_file(folder, "tamper.ply"))
-    scores = read_by_row(result_file(folder, "tamper.npy"), scene.total)
+    if contents.version != version(contents.folder):
+        raise InputError(f"{contents.folder}: has new results; start gsc-jax view again")
+    path = result_file(contents.folder, "tamper.ply")
+    scene = read_ply(path, max_bytes=contents.max_bytes)
+    scores = read_by_row(result_file(contents.folder, "tamper.npy"), scene.total)
     chosen = scores > threshold if rows is None else np.isin(np.arange(scene.total), rows)
-    if not (chosen == keep).any():
-        return None
     with tempfile.TemporaryDirectory() as place:
         path = Path(place) / "part.ply"
         save_tampered(path, scene, scores[scene.rows], keep=chosen == keep)

@@ -56,9 +56,10 @@ def run_view(
     _check(options)
     monitor = monitor or Monitor()
     monitor.progress("load", 0, 1)
+    limit = memory_limit(options.memory)
     # The results are not kept in a variable: they are large, and serving lasts.
     contents, notes = viewer_contents(
-        read_results(options.folder, max_bytes=memory_limit(options.memory)), most=options.most
+        read_results(options.folder, max_bytes=limit), most=options.most, max_bytes=limit
     )
     monitor.progress("load", 1, 1)
     if options.html is not None:

@@ -33,12 +33,14 @@ class Splats:
         covariances: World units squared, shape (N, 3, 3).
         rgbs: Colours in [0, 1], shape (N, 3).
         opacities: In [0, 1], shape (N, 1).
+        scales: Standard deviations along the axes in world units, shape (N, 3).
     """
 
     centers: np.ndarray
     covariances: np.ndarray
     rgbs: np.ndarray
     opacities: np.ndarray
+    scales: np.ndarray
 
     def take(self, rows: np.ndarray) -> "Splats":
         """The ellipsoids of some rows, given as indices or as a mask."""
@@ -47,13 +49,15 @@ class Splats:
 
 def splats(gaussians: Gaussians) -> Splats:
     """Convert Gaussians; the covariance is R S S^T R^T."""
-    axes = rotation_matrices(gaussians) * np.asarray(gaussians.scales, np.float64)[:, None, :]
+    scales = np.asarray(gaussians.scales)
+    axes = rotation_matrices(gaussians) * scales.astype(np.float64)[:, None, :]
     rgbs = 0.5 + Y0 * np.asarray(gaussians.sh, np.float32)[:, 0]
     return Splats(
         centers=np.asarray(gaussians.means, np.float32),
         covariances=(axes @ axes.swapaxes(1, 2)).astype(np.float32),
         rgbs=np.clip(rgbs, 0, 1),
         opacities=np.asarray(gaussians.opacities, np.float32)[:, None],
+        scales=scales,
     )
 
 

@@ -1,5 +1,6 @@
 """Clicks, boxes and exports of the served viewer."""
 
+import dataclasses
 from types import SimpleNamespace
 
 import numpy as np
@@ -16,6 +17,7 @@ from gsc_jax.cli.viewer.splats import Splats
 from gsc_jax.io.ply import read_ply
 from gsc_jax.render.orbit import look_at
 from gsc_jax.render.projection import project_centers
+from gsc_jax.scene import InputError
 
 
 @pytest.fixture(scope="module")
@@ -33,6 +35,7 @@ def discs(depths: list[float], opacities: list[float]) -> Splats:
         covariances=np.tile(np.eye(3, dtype=np.float32), (count, 1, 1)),
         rgbs=np.zeros((count, 3), np.float32),
         opacities=np.array(opacities, np.float32)[:, None],
+        scales=np.ones((count, 3), np.float32),
     )
 
 
@@ -56,6 +59,8 @@ def test_a_click_shows_the_values_in_the_file(contents):
         assert f"| score | {scene.ply['vertex']['tamper'][row]:.3f} |" in text
         place = ", ".join(f"{scene.ply['vertex'][axis][row]:.3g}" for axis in "xyz")
         assert f"| position | {place} |" in text
+        logs = [scene.ply["vertex"][f"scale_{axis}"][row] for axis in range(3)]
+        assert f"| scales | {', '.join(f'{np.exp(log):.3g}' for log in logs)} |" in text
 
 
 @settings(max_examples=30, deadline=None)
@@ -87,10 +92,26 @@ def test_exports_are_rows_of_the_file_with_all_properties(contents, tmp_path):
         (np.array([3, 9]), False, ~np.isin(np.arange(len(whole)), [3, 9])),
     ):
         path = tmp_path / "part.ply"
-        content = exported(contents.folder, rows, threshold=contents.threshold, keep=keep)
-        assert content is not None
+        content = exported(contents, rows, threshold=contents.threshold, keep=keep)
         path.write_bytes(content)
         part = read_ply(path).ply["vertex"].data
         assert part.dtype == whole.dtype
         assert part.tobytes() == whole[expected].tobytes()
-    assert exported(contents.folder, np.arange(0), threshold=0.5, keep=True) is None
+    with pytest.raises(InputError, match="no Gaussian was chosen"):
+        exported(contents, np.arange(0), threshold=0.5, keep=True)
+    small = dataclasses.replace(contents, max_bytes=100)
+    with pytest.raises(InputError, match="--memory"):
+        exported(small, None, threshold=0.5, keep=True)
+    with pytest.raises(InputError, match="start gsc-jax view again"):
+        exported(dataclasses.replace(contents, version=0), None, threshold=0.5, keep=True)
+
+
+def test_a_needle_is_hit_along_its_length_only():
+    turn = np.array([[1, -1, 0], [1, 1, 0], [0, 0, np.sqrt(2)]]) / np.sqrt(2)
+    needle = dataclasses.replace(
+        discs([5], [0.9]),
+        covariances=(turn @ np.diag([1, 1e-4, 1e-4]) @ turn.T)[None].astype(np.float32),
+    )
+    drawn = needle.opacities[:, 0]
+    assert hit(needle, drawn, np.array([0.7, 0.7, 0]), np.array([0, 0, 1.0])) == 0
+    assert hit(needle, drawn, np.array([0.7, 0, 0]), np.array([0, 0, 1.0])) is None

@@ -4,7 +4,6 @@ All input and output goes through files and through the code of `gsc-jax locate`
 detector has all failures at once (`mixture`): single masks are then of little use.
 """
 
-import dataclasses
 import sys
 import textwrap
 from collections.abc import Mapping, Sequence
@@ -63,15 +62,15 @@ def run_demo(
     options: Demo, *, monitor: Monitor, made: MadeScene | None = None
 ) -> tuple[list[str], list[str]]:
     """Generate the scene, by default `tampered_room`, run all methods; lines and warnings."""
-    _refuse_foreign(options.out)
-    made = made or tampered_room(seed=options.seed)
-    decoy = decoy_labels(made.gaussians, made.labels, seed=options.seed)
     given = options.out / "input"
-    case = _made_input(given, made, decoy, options.seed, monitor)
+    for path in (given, options.out / "heldout.png"):
+        if path.exists() and not (given / HELDOUT).exists():  # else from an interrupted demo
+            raise InputError(f"{path}: exists and is not from `demo`; give another --out")
+    made = made or tampered_room(seed=options.seed)
+    case = _made_input(given, made, options.seed, monitor)
     results = {
         name: _locate(given, options.out / name, name, options.seed, monitor) for name in RUNS
     }
-    authentic = _locate_authentic(made, decoy, options, monitor)
     found = {name: _heldout_masks(case.made, result) for name, result in results.items()}
     _write_picture(options.out / "heldout.png", case, found)
     return [
@@ -81,8 +80,6 @@ def run_demo(
         "",
         *EXPLANATION.splitlines(),
         "",
-        *_probability_table(results, authentic),
-        "",
         f"images   {options.out / 'heldout.png'}: the truth beside the masks of each method",
         *(f"report   {options.out / name / 'report.html'}" for name in RUNS),
         f"again    {sys.argv[0]} locate {given / 'scene.ply'} --cameras {given / 'cameras.json'} "
@@ -90,20 +87,9 @@ def run_demo(
     ], []
 
 
-def _refuse_foreign(out: Path) -> None:
-    """Refuse a folder with other files; those of a demo that was interrupted are replaced."""
-    for path in (out / "input", out / "heldout.png"):
-        if path.exists() and not (out / "input" / HELDOUT).exists():
-            raise InputError(f"{path}: exists and is not from `demo`; give another --out")
-
-
-def _made_input(
-    folder: Path, made: MadeScene, decoy: np.ndarray, seed: int, monitor: Monitor
-) -> Case:
-    """Write a scene, its truth, and masks of a detector, which may flag the decoy Gaussians, (N,).
-
-    Held-out views get no mask.
-    """
+def _made_input(folder: Path, made: MadeScene, seed: int, monitor: Monitor) -> Case:
+    """Write a scene, its truth, and masks of a detector; held-out views get no mask."""
+    decoy = decoy_labels(made.gaussians, made.labels, seed=seed)
     save_cameras(folder / HELDOUT, made.heldout_cameras)
     write_scene(folder, made.gaussians, made.cameras, made.labels)
     cameras, truth, decoys = [*made.cameras, *made.heldout_cameras], [], []
@@ -118,21 +104,6 @@ def _made_input(
     write_views(folder / "masks", masks, write_probability)
     write_views(folder / "truth", case.truth, write_mask)
     return case
-
-
-def _locate_authentic(
-    made: MadeScene, decoy: np.ndarray, options: Demo, monitor: Monitor
-) -> dict[str, Result]:
-    """Locate in the scene before the edit, with the methods that give a scene probability."""
-    rows = np.flatnonzero(~made.labels)
-    authentic = {"gaussians": made.gaussians.take(rows), "labels": made.labels[rows]}
-    room = dataclasses.replace(made, **authentic)
-    given = options.out / "input" / "authentic"
-    _made_input(given, room, decoy[rows], options.seed, monitor)
-    return {
-        name: _locate(given, options.out / f"authentic-{name}", name, options.seed, monitor)
-        for name in (ATTRIBUTES_ONLY, "robust")
-    }
 
 
 def _locate(given: Path, out: Path, name: str, seed: int, monitor: Monitor) -> Result:
@@ -183,16 +154,6 @@ def _score_table(
             cells = [f"{labels.sum():,}", *(f"{measure:.3f}" for measure in measures)]
         cells += [f"{means.f1:.3f}", f"{means.iou:.3f}"]
         lines.append(f"{method:20}" + "".join(f"{cell:>11}" for cell in cells))
-    return lines
-
-
-def _probability_table(results: Mapping[str, Result], authentic: Mapping[str, Result]) -> list[str]:
-    """Scene probabilities after and before the edit, and the number of labels before it."""
-    lines = [f"{'scene probability':20}{'edited':>11}{'authentic':>11}{'found then':>13}"]
-    for name, before in authentic.items():
-        after = results[name].verdict or 0.0
-        cells = f"{after:11.0%}{before.verdict or 0.0:11.0%}{before.labels.sum():13,}"
-        lines.append(f"{name:20}{cells}")
     return lines
 
 

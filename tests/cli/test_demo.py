@@ -94,18 +94,6 @@ def test_the_first_run_uses_the_attributes_only(finished):
     assert result["attributes"]["verdict"] == result["verdict"]
 
 
-@pytest.mark.parametrize("method", ["native", "robust"])
-def test_the_scene_before_the_edit_is_located_too(finished, method):
-    out, lines = finished
-    labels = np.load(out / "input" / "authentic" / "labels.npy")
-    assert len(labels) == COUNT - np.load(out / "input" / "labels.npy").sum()
-    result = json.loads((out / f"authentic-{method}" / "result.json").read_text())
-    assert result["counts"]["rows"] == len(labels)
-    (row,) = [line for line in lines if line.startswith(f"{method}  ") and "%" in line]
-    assert float(row.split()[2].rstrip("%")) == pytest.approx(100 * result["verdict"], abs=0.51)
-    assert int(row.split()[3].replace(",", "")) == result["counts"]["tampered"]
-
-
 def test_input_of_another_origin_is_kept(tmp_path):
     (tmp_path / "input").mkdir()
     (tmp_path / "input" / "scene.ply").write_bytes(b"mine")

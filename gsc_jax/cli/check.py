@@ -124,10 +124,8 @@ def layout_problems(ply: "PlyData") -> Iterator[Problem]:
     if SCALE[2] not in names:
         yield Problem("warning", "discs", 0, "is a 2DGS file; viewers of 3DGS miss scale_2")
     if other:
-        text = (
-            f"has more properties ({', '.join(other)}); INRIA's viewer misreads every row, others"
-        )
-        yield Problem("warning", "unknown", 0, f"{text} ignore or drop them")
+        text = f"has more properties ({', '.join(other)}), with which INRIA's viewer misreads rows"
+        yield Problem("warning", "unknown", 0, text)
     if others := [element.name for element in ply.elements if element is not vertex]:
         yield Problem("note", "elements", 0, f"viewers ignore its elements {', '.join(others)}")
 

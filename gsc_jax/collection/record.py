@@ -102,7 +102,8 @@ def _rows(part: Path) -> list[Row]:
     from pyarrow import parquet
 
     rows: dict[tuple[str, str], Row] = {}
-    for path in sorted(part.glob("*.parquet"), key=lambda path: ("-" in path.name, path.name)):
+    whole = part.glob("[!.]*.parquet")  # hidden is what a killed worker has not finished
+    for path in sorted(whole, key=lambda path: ("-" in path.name, path.name)):
         try:
             found = parquet.ParquetFile(path).read().to_pylist()
         except Exception as error:

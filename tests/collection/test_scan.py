@@ -157,11 +157,12 @@ def test_two_scans_into_one_folder_are_refused(collection, done):
 
 
 def test_a_scene_beyond_the_timeout_is_a_row_and_is_tried_again_later(tmp_path):
-    scene(tmp_path / "in" / "a.ply", 0)
-    options = ("--timeout", "0.03", "--retries", "1")
+    # Large enough to take seconds, while it is found and read in much less than the timeout.
+    scene(tmp_path / "in" / "a.ply", 0, count=40_000)
+    options = ("--timeout", "0.5", "--retries", "1")
     row = scanned(tmp_path / "in", tmp_path / "out", *options)["a.ply"]
     assert (row["error_class"], row["attempts"]) == ("TimeoutError", 2)
-    assert "0.03 s" in row["error"]
+    assert "0.5 s" in row["error"]
     row = scanned(tmp_path / "in", tmp_path / "out")["a.ply"]
     assert row["error_class"] is None
     assert row["scene_probability"] is not None

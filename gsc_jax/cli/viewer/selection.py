@@ -67,11 +67,9 @@ def add_selection(server: "viser.ViserServer", contents: Contents, inputs: Layer
 
     @export.on_click
     def _(event: "viser.GuiEvent") -> None:
-        rows = contents.rows[selected] if part.value.endswith("selected") else None
-        keep, threshold = part.value.startswith("only"), inputs.threshold.value
         try:
             with lock:  # one at a time: each takes the memory of the whole scene
-                content = exported(contents, rows, threshold=threshold, keep=keep)
+                content = exported(contents, part.value, selected, inputs.threshold.value)
         except (InputError, OSError) as error:
             text.content = html.escape(str(error))
             return
@@ -129,19 +127,21 @@ def _numbers(values: np.ndarray) -> str:
     return ", ".join(f"{value:.3g}" for value in values)
 
 
-def exported(contents: Contents, rows: np.ndarray | None, *, threshold: float, keep: bool) -> bytes:
-    """The .ply of the results with some of its rows.
+def exported(contents: Contents, part: str, selected: np.ndarray, threshold: float) -> bytes:
+    """The .ply of the results with one of its `PARTS`.
 
-    These are the given ones, or by default those with a score above the threshold; all others if
-    `keep` is false. InputError if there are none, or the results have changed.
+    Labelled are Gaussians with a score above the threshold; `selected`, (N,) bool, are splats.
+    InputError if the part is empty, or the results have changed.
     """
     if contents.version != version(contents.folder):
         raise InputError(f"{contents.folder}: has new results; start gsc-jax view again")
     path = result_file(contents.folder, "tamper.ply")
     scene = read_ply(path, max_bytes=contents.max_bytes)
     scores = read_by_row(result_file(contents.folder, "tamper.npy"), scene.total)
-    chosen = scores > threshold if rows is None else np.isin(np.arange(scene.total), rows)
+    chosen = scores > threshold
+    if part.endswith("selected"):
+        chosen = np.isin(np.arange(scene.total), contents.rows[selected])
     with tempfile.TemporaryDirectory() as place:
         path = Path(place) / "part.ply"
-        save_tampered(path, scene, scores[scene.rows], keep=chosen == keep)
+        save_tampered(path, scene, scores[scene.rows], keep=chosen == part.startswith("only"))
         return path.read_bytes()

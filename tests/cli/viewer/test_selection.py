@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from gsc_jax.cli.results import read_results
 from gsc_jax.cli.viewer.contents import viewer_contents
-from gsc_jax.cli.viewer.selection import describe, exported, hit, on_screen
+from gsc_jax.cli.viewer.selection import PARTS, describe, exported, hit, on_screen
 from gsc_jax.cli.viewer.splats import Splats
 from gsc_jax.io.ply import read_ply
 from gsc_jax.render.orbit import look_at
@@ -85,25 +85,21 @@ def test_places_on_the_screen_are_those_of_the_renderer(contents, view, seed):
 def test_exports_are_rows_of_the_file_with_all_properties(contents, tmp_path):
     whole = read_ply(contents.folder / "tamper.ply").ply["vertex"].data
     labelled = np.load(contents.folder / "labels.npy")
-    for rows, keep, expected in (
-        (None, True, labelled),
-        (None, False, ~labelled),
-        (np.array([3, 9]), True, np.isin(np.arange(len(whole)), [3, 9])),
-        (np.array([3, 9]), False, ~np.isin(np.arange(len(whole)), [3, 9])),
-    ):
+    selected = np.isin(np.arange(len(contents.rows)), [3, 9])
+    rows = np.isin(np.arange(len(whole)), contents.rows[selected])
+    for part, expected in zip(PARTS, (~labelled, labelled, ~rows, rows), strict=True):
         path = tmp_path / "part.ply"
-        content = exported(contents, rows, threshold=contents.threshold, keep=keep)
-        path.write_bytes(content)
-        part = read_ply(path).ply["vertex"].data
-        assert part.dtype == whole.dtype
-        assert part.tobytes() == whole[expected].tobytes()
+        path.write_bytes(exported(contents, part, selected, contents.threshold))
+        written = read_ply(path).ply["vertex"].data
+        assert written.dtype == whole.dtype
+        assert written.tobytes() == whole[expected].tobytes()
+    none, small = np.zeros_like(selected), dataclasses.replace(contents, max_bytes=100)
     with pytest.raises(InputError, match="no Gaussian was chosen"):
-        exported(contents, np.arange(0), threshold=0.5, keep=True)
-    small = dataclasses.replace(contents, max_bytes=100)
+        exported(contents, "only selected", none, 0.5)
     with pytest.raises(InputError, match="--memory"):
-        exported(small, None, threshold=0.5, keep=True)
+        exported(small, "only labelled", none, 0.5)
     with pytest.raises(InputError, match="start gsc-jax view again"):
-        exported(dataclasses.replace(contents, version=0), None, threshold=0.5, keep=True)
+        exported(dataclasses.replace(contents, version=0), "only labelled", none, 0.5)
 
 
 def test_a_needle_is_hit_along_its_length_only():

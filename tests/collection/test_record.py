@@ -1,0 +1,29 @@
+"""Rows of a scan as files."""
+
+import pytest
+
+pytest.importorskip("pyarrow", reason="needs the extra `cluster`")
+
+from gsc_jax.collection.record import complete, merge_rows, read_rows, write_row
+from gsc_jax.scene import InputError
+
+ROW = complete({"id": "a.ply", "key": "ab12", "configuration": "c" * 64, "path": "a.ply"})
+
+
+def test_what_a_killed_worker_left_is_neither_read_nor_kept(tmp_path):
+    write_row(tmp_path, dict(ROW))
+    (whole,) = tmp_path.rglob("*.parquet")
+    left = whole.with_name(".5939fa361f06.parquet")
+    left.write_bytes(whole.read_bytes()[:100])
+    assert [row["id"] for row in read_rows(tmp_path, ROW["configuration"])] == ["a.ply"]
+    merge_rows(tmp_path, ROW["configuration"], {"a.ply": "ab12"})
+    assert [row["id"] for row in read_rows(tmp_path, ROW["configuration"])] == ["a.ply"]
+    assert not left.exists()
+
+
+def test_a_damaged_row_is_named(tmp_path):
+    write_row(tmp_path, dict(ROW))
+    (whole,) = tmp_path.rglob("*.parquet")
+    whole.write_bytes(whole.read_bytes()[:100])
+    with pytest.raises(InputError, match="damaged; remove it"):
+        list(read_rows(tmp_path, ROW["configuration"]))

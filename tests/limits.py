@@ -8,7 +8,7 @@ import pytest
 
 
 def assert_limits(config: Any, name: str, least: float, most: float) -> None:
-    """Both ends of a range are valid, except 1, and the next number beyond them is an error."""
+    """Check that the ends of a range are accepted and the next numbers refused; 1 is excluded."""
     below, above = np.nextafter(least, -np.inf), np.nextafter(most, np.inf)
     if isinstance(least, int):
         below, above = least - 1, most + 1

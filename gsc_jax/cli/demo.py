@@ -61,7 +61,7 @@ class Case(NamedTuple):
 def run_demo(
     options: Demo, *, monitor: Monitor, made: MadeScene | None = None
 ) -> tuple[list[str], list[str]]:
-    """Generate the scene, by default `tampered_room`, run all methods; lines and warnings."""
+    """Run all methods on a generated scene; return lines to print, and warnings (none)."""
     given = options.out / "input"
     for path in (given, options.out / "heldout.png"):
         if path.exists() and not (given / HELDOUT).exists():  # else from an interrupted demo

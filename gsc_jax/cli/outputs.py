@@ -144,7 +144,7 @@ def _tint(result: Result) -> np.ndarray:
 def _write_overview(
     path: Path, cameras: Sequence[Camera], result: Result, renders: Mapping[str, np.ndarray]
 ) -> None:
-    """Render, probability map and mask of the views with the largest masks, among judged ones."""
+    """Write a picture with the views of the largest masks, preferably views that a detector saw."""
     judged = [camera for camera in cameras if camera.name in result.probabilities] or cameras
     shares = {camera.name: result.masks[camera.name].mean() for camera in judged}
     shown = evenly_spaced(judged, SHEET_ROWS)

@@ -40,7 +40,7 @@ class Claim(NamedTuple):
 
 
 class Ledger:
-    """Actor that knows which scene has a content, and how often it was begun.
+    """Actor that grants each content to one scene, and counts how often its judging has begun.
 
     One for the whole scan, so that a content is computed once wherever its copies are. It counts
     attempts that no worker has survived, such as those on a node that disappeared.

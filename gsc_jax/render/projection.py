@@ -26,7 +26,7 @@ LOW_PASS = 0.3
 MIN_ALPHA = 1.0 / 255.0
 """Opacities below this are dropped, as in the INRIA rasteriser; also the outline of a splat."""
 TRANSPARENT_LOGIT = -20.0
-"""Of an opacity far below `MIN_ALPHA`, for rows that are not usable; its derivative is finite."""
+"""Logit opacity of rows that cannot be rendered: far below `MIN_ALPHA`, derivative finite."""
 
 
 @pytree

@@ -26,7 +26,7 @@ from gsc_jax.estimators.protocol import Outcome, Reliability, outcome
 from gsc_jax.estimators.robust.early_stopping import EarlyStopping, observe_until_stable
 from gsc_jax.evidence.detector import Detector, as_detector
 from gsc_jax.evidence.mask_checks import doubts
-from gsc_jax.evidence.masks import filled_scores, mask_and_render, stored_masks, view_mask
+from gsc_jax.evidence.masks import filled_scores, pictures, stored_masks, view_mask
 from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.evidence.observation import EVIDENCE, Observation, check_cameras, observe
 from gsc_jax.evidence.storage import ArrayStore
@@ -34,6 +34,7 @@ from gsc_jax.forensics.evidence import ForensicEvidence, estimate_from_attribute
 from gsc_jax.render.visibility import check_views
 from gsc_jax.scene import Camera, Gaussians, invalid_rows
 from gsc_jax.scene.gaussians import filled_up
+from gsc_jax.scene.pytree import short_repr
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -76,6 +77,8 @@ class Result:
     stages: dict[str, dict[str, float]]
     seconds: float
     warnings: list[str]
+
+    __repr__ = short_repr
 
     @property
     def outcome(self) -> Outcome | None:
@@ -143,7 +146,7 @@ def locate(
         store.release(EVIDENCE)  # the result keeps the store for its masks
     settings = {"threshold": estimator.threshold, "near": estimator.near}
     settings |= {"rule": estimator.mask_rule, "scored": filled_scores(finding)}
-    mask_of = view_mask if given is None else mask_and_render
+    mask_of = view_mask if given is None else pictures
     compute = functools.partial(mask_of, filled_up(gaussians), **settings)
     masks = stored_masks(compute, cameras, store, monitor)  # labels -> masks
     return Result(

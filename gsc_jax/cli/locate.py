@@ -1,6 +1,7 @@
 """`gsc-jax locate`: from files to a folder of results; all input is checked first."""
 
 import dataclasses
+import functools
 import hashlib
 import tempfile
 import uuid
@@ -10,17 +11,16 @@ from typing import Any
 import jax
 import numpy as np
 
-from gsc_jax.cli import detector_choice
+from gsc_jax.cli import detector_choice, scene_input
 from gsc_jax.cli.config_file import read_config_file
 from gsc_jax.cli.options import Locate
 from gsc_jax.cli.outputs import planned_outputs, versions, write_report, write_results
 from gsc_jax.cli.ownership import refuse_foreign, refuse_overlap
 from gsc_jax.cli.report.wording import Located
-from gsc_jax.cli.scene_input import check_numbers, choose_cameras, read_scene
 from gsc_jax.cli.staging import BY_CAMERA, FILES, replacing, views_of, writing_to
 from gsc_jax.estimators.protocol import Estimator, Prior
 from gsc_jax.evidence.detector import Detector
-from gsc_jax.evidence.masks import RENDER
+from gsc_jax.evidence.masks import RENDER, SCORE
 from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.evidence.storage import ArrayStore, ByView
 from gsc_jax.io.cameras import camera_files
@@ -47,9 +47,11 @@ class Inputs:
     files: dict[str, dict[str, Any]]
 
 
-def read_inputs(options: Locate, *, monitor: Monitor) -> Inputs:
-    """Read and check everything that a run of `locate` is given."""
-    check_numbers(options)
+def read_inputs(
+    options: Locate, *, monitor: Monitor, previews: int = scene_input.PREVIEW_VIEWS
+) -> Inputs:
+    """Read and check all input of a run of `locate`; `previews` views are placed for a report."""
+    scene_input.check_numbers(options)
     if (options.out / "edit.json").exists():
         raise InputError(
             f"{options.out}: holds an edit of `tamper` and its truth; give another --out"
@@ -68,13 +70,14 @@ def read_inputs(options: Locate, *, monitor: Monitor) -> Inputs:
     files += camera_files(options.cameras) if options.cameras else []
     files = [path for path in files if path is not None]
     refuse_overlap(options.out, files, written=(*FILES, *BY_CAMERA))
-    scene, cameras = read_scene(options, warnings, monitor, preview=detector is None)
+    placed = scene_input.ORBIT_VIEWS if detector else previews
+    scene, cameras = scene_input.read_scene(options, warnings, monitor, placed=placed)
     # At once: a file that changes during the run does not match its digest.
     digests = {str(p): {"bytes": content_bytes(p), "sha256": content_digest(p)} for p in files}
     # Once, since NumPy reads the arrays of JAX without copying, but not the other way round.
     scene = dataclasses.replace(scene, gaussians=jax.device_put(scene.gaussians))
     usable = detector.select(cameras) if detector and options.views else cameras
-    cameras = choose_cameras(options, scene, usable, warnings)
+    cameras = scene_input.choose_cameras(options, scene, usable, warnings)
     refuse_foreign(options.out, planned_outputs(cameras), report="result.json")
     return Inputs(
         options=options,
@@ -110,8 +113,11 @@ def locate_and_write(inputs: Inputs, *, prior: Prior | bool, monitor: Monitor) -
             inputs=inputs.files,
         )
         with monitor.stage("write"):
-            renders = ByView(tuple(result.masks), lambda name: store.get(RENDER, name))
-            write_results(folder, located, renders, monitor=monitor)
+            renders, scores = (
+                ByView(tuple(result.masks), functools.partial(store.get, kind))
+                for kind in (RENDER, SCORE)
+            )
+            write_results(folder, located, renders, scores, monitor)
         warnings = list(dict.fromkeys([*inputs.warnings, *result.warnings]))  # of `check_views`
         times = {"stages": monitor.summary(), "seconds": monitor.elapsed()}
         result = dataclasses.replace(result, **times, warnings=warnings)

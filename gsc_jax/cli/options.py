@@ -241,7 +241,8 @@ class Locate(SceneOptions):
       tamper.ply               the scene, plus the property tamper
       highlight.ply            tampered red, the rest grey
       labels.npy, tamper.npy   bool and score, by row of the scene
-      masks/, detector/        final masks, and the detector's
+      masks/, scores/          final masks, and scores as 16-bit maps
+      detector/                the detector's maps, 16 bits
       views.json               the cameras of the masks
       result.json              numbers, warnings, versions
 

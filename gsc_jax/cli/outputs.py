@@ -4,7 +4,6 @@ Pictures have full size: most of the time of a small render would also go into s
 """
 
 import dataclasses
-import functools
 import hashlib
 import importlib.metadata
 import json
@@ -38,9 +37,13 @@ PACKAGES = ("gsc_jax", "numpy", "jax", "jaxlib", "optax")
 
 
 def write_results(
-    folder: Path, located: Located, renders: Mapping[str, np.ndarray], *, monitor: Monitor
+    folder: Path,
+    located: Located,
+    renders: Mapping[str, np.ndarray],
+    scores: Mapping[str, np.ndarray],
+    monitor: Monitor,
 ) -> None:
-    """Write all results, with renders in 8 bit, except report.html and result.json."""
+    """Write all results, with renders and scores of `pictures`, but report.html and result.json."""
     scene, cameras, result = located.scene, located.cameras, located.result
     monitor.progress("write", 0, len(cameras))
     save_cameras(folder / "views.json", cameras)
@@ -49,7 +52,11 @@ def write_results(
     save_highlight(folder / "highlight.ply", scene.gaussians, result.labels, candidates=candidates)
     save_array(folder / "labels.npy", scene.expand(result.labels))
     save_array(folder / "tamper.npy", scene.expand(result.tamper))
-    write_view = functools.partial(_write_view, folder, result, renders)
+
+    def write_view(camera: Camera) -> None:
+        write_probability(layer_path(folder, "scores", camera.name), scores[camera.name])
+        _write_view(folder, result, renders, camera)
+
     with view_threads() as pool:
         for done, _ in enumerate(bounded_map(pool, write_view, cameras), start=1):
             monitor.progress("write", done, len(cameras))

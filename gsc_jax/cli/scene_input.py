@@ -13,9 +13,9 @@ from gsc_jax.io.files import memory_limit
 from gsc_jax.io.masks import image_path
 from gsc_jax.io.ply import PlyScene, read_ply
 from gsc_jax.render.interior import moved_indoors
-from gsc_jax.render.orbit import orbit_cameras
+from gsc_jax.render.orbit import opaque_means, orbit_cameras
 from gsc_jax.render.up import estimated_up, parse_up, up_text
-from gsc_jax.render.visibility import check_views
+from gsc_jax.render.visibility import check_views, scale_warnings
 from gsc_jax.scene import Camera, Gaussians, InputError
 
 ORBIT_VIEWS, PREVIEW_VIEWS = 24, 12
@@ -42,9 +42,12 @@ def check_numbers(options: SceneOptions) -> None:
 
 
 def read_scene(
-    options: SceneOptions, warnings: list[str], monitor: Monitor, *, preview: bool = False
+    options: SceneOptions, warnings: list[str], monitor: Monitor, *, placed: int = ORBIT_VIEWS
 ) -> tuple[PlyScene, list[Camera]]:
-    """Read the scene file and the cameras, scaled and with names that can name files."""
+    """Read the scene file and the cameras, scaled and with names that can name files.
+
+    Without --cameras and --views, that many cameras are `placed`; with 0, there are none.
+    """
     monitor.progress("load", 0, 2)
     scene = read_ply(options.scene, max_bytes=memory_limit(options.memory))
     if scene.dropped:
@@ -52,7 +55,7 @@ def read_scene(
     if "tamper" in {p.name for element in scene.ply.elements for p in element.properties}:
         warnings.append(f"{options.scene}: already has a property tamper, which is replaced")
     monitor.progress("load", 1, 2)
-    count = options.views or (PREVIEW_VIEWS if preview else ORBIT_VIEWS)
+    count = placed and (options.views or placed)
     cameras = _read_cameras(options, scene.gaussians, warnings, count)
     with naming(options.cameras or options.scene):
         check_names(cameras)
@@ -65,6 +68,8 @@ def _read_cameras(
 ) -> list[Camera]:
     if options.cameras is not None:
         cameras = load_cameras(options.cameras, max_bytes=memory_limit(options.memory))
+    elif count == 0:
+        return []
     else:
         known = "y" if options.up is None and options.scene.suffix.lower() in Y_UP else options.up
         up = estimated_up(gaussians) if known is None else parse_up(known)
@@ -92,6 +97,9 @@ def choose_cameras(
     options: SceneOptions, scene: PlyScene, cameras: Sequence[Camera], warnings: list[str]
 ) -> list[Camera]:
     """The --views of the cameras, evenly spaced, or all of them; refused if they see no scene."""
+    if not cameras:  # none were placed, so that only the scene is checked
+        warnings += scale_warnings(scene.gaussians, opaque_means(scene.gaussians))
+        return []
     count = options.views or len(cameras)
     if count > len(cameras):
         warnings.append(f"--views {count}: there are only {len(cameras)} usable cameras")

@@ -1,6 +1,7 @@
 """One scene to one row: what `gsc-jax locate` finds in it, without the views unless needed.
 
-Without a 2D detector, the views only show the result, so that they are rendered for a report only.
+Without a 2D detector, the views only show the result, so that they are placed and rendered for a
+report only.
 """
 
 import contextlib
@@ -47,7 +48,7 @@ def judge(options: Locate, report_above: float | None) -> Row:
 
 def _judged(options: Locate, report_above: float | None, monitor: Monitor) -> Row:
     with monitor.stage("load"):
-        inputs = read_inputs(options, monitor=monitor)
+        inputs = read_inputs(options, monitor=monitor, previews=0)
     found, prior, notes = _found(inputs, monitor)
     scene, labelled = inputs.scene, int(found.labels.sum())
     row: Row = {
@@ -62,8 +63,11 @@ def _judged(options: Locate, report_above: float | None, monitor: Monitor) -> Ro
     probability = labelled > 0 if found.verdict is None else found.verdict
     if report_above is not None and probability >= report_above:
         given = prior if isinstance(prior, ForensicEvidence) else inputs.attributes
+        with monitor.stage("load"):
+            inputs = inputs if inputs.cameras else read_inputs(options, monitor=monitor)
         # The maps of a network come from its cache; the attributes are those already computed.
-        locate_and_write(inputs, prior=given, monitor=monitor)
+        located = locate_and_write(inputs, prior=given, monitor=monitor)
+        row["warnings"] = located.result.warnings
         row["report"] = f"{options.out.name}/report.html"
     return row
 

@@ -12,6 +12,7 @@ from gsc_jax.evidence.lifting import EvidenceOfViews
 from gsc_jax.evidence.masks import MaskRule
 from gsc_jax.evidence.observation import Observation
 from gsc_jax.scene.errors import BELOW_1, check_ranges
+from gsc_jax.scene.pytree import short_repr
 
 Reliability = Literal["reliable", "uninformative", "inverted", "unseen"]
 """Reliability of a mask: it flags most of the labelled Gaussians in the view, it does not, it flags
@@ -111,6 +112,8 @@ class Finding:
     verdict: float | None = None
     reliability: tuple[Reliability, ...] = ()
     warnings: list[str]
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         """Refuse NaN: a comparison with it would silently label nothing."""

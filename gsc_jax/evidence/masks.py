@@ -22,13 +22,14 @@ from gsc_jax.render.tiles import make_view, restricted
 from gsc_jax.scene import Array, Camera, Gaussians
 from gsc_jax.scene.gaussians import transparent_rows
 from gsc_jax.scene.parallel import bounded_map, view_threads
-from gsc_jax.splat import composite_with_alpha, render, require_finite
+from gsc_jax.splat import composite_with_alpha, require_finite
 
 MaskRule = Literal["share", "attribute", "per-view"]
 MIN_COVERAGE = 0.1
 """Least alpha of a pixel in a mask: the truth in shared test data and experiments uses it, too."""
 
-MASK, RENDER = "mask", "render"  # kinds of the final masks, and of 8-bit renders, in a store
+MASK, RENDER, SCORE = "mask", "render", "score"
+"""Kinds of what `pictures` computes in a store."""
 
 
 class Scored(Protocol):
@@ -100,11 +101,12 @@ def view_mask(
         raise ValueError(f"threshold must be in [0, 1), got {threshold}")
     if rule == "per-view":
         return _per_view_mask(gaussians, camera, scored, threshold=threshold, near=near)
-    feature, level = _feature(scored, rule, threshold)
-    return rendered_share(gaussians, camera, feature, near=near) > level
+    if rule == "share":
+        return rendered_share(gaussians, camera, scored.labels, near=near) > 0.5
+    return rendered_share(gaussians, camera, scored.tamper, near=near) > threshold
 
 
-def mask_and_render(
+def pictures(
     gaussians: Gaussians,
     camera: Camera,
     scored: Scored,
@@ -112,39 +114,34 @@ def mask_and_render(
     rule: MaskRule,
     threshold: float,
     near: float,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Compute `view_mask` and the render, RGB (H, W, 3) in 8 bit, in one pass."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Compute `view_mask`, the render, RGB (H, W, 3) in 8 bit, and the scores, (H, W), at once."""
     from skimage.util import img_as_ubyte
 
+    features = jnp.stack([jnp.asarray(scored.labels, jnp.float32), scored.tamper], axis=1)
+    rgb = colors(gaussians.sh, gaussians.means, camera.center)
+    view = make_view(gaussians, camera, near=near)
+    image, alpha = composite_with_alpha(view, jnp.concatenate([features, rgb], axis=1))
+    share, score = _share(image[..., 0], alpha), _share(image[..., 1], alpha)
+    mask = share > 0.5 if rule == "share" else score > threshold
     if rule == "per-view":
         mask = _per_view_mask(gaussians, camera, scored, threshold=threshold, near=near)
-        return mask, img_as_ubyte(render(gaussians, camera, near=near)[0])
-    feature, level = _feature(scored, rule, threshold)
-    rgb = colors(gaussians.sh, gaussians.means, camera.center)
-    channels = jnp.concatenate([jnp.asarray(feature, jnp.float32)[:, None], rgb], axis=1)
-    view = make_view(gaussians, camera, near=near)
-    image, alpha = composite_with_alpha(view, channels)
-    return _share(image[..., 0], alpha) > level, img_as_ubyte(jnp.minimum(image[..., 1:], 1.0))
-
-
-def _feature(scored: Scored, rule: MaskRule, threshold: float) -> tuple[np.ndarray, float]:
-    """The feature whose share of a pixel's weight decides, and the level that it must exceed."""
-    return (scored.labels, 0.5) if rule == "share" else (scored.tamper, threshold)
+    return mask, img_as_ubyte(jnp.minimum(image[..., 2:], 1.0)), score
 
 
 def stored_masks(
-    compute: Callable[[Camera], np.ndarray | tuple[np.ndarray, np.ndarray]],
+    compute: Callable[[Camera], np.ndarray | tuple[np.ndarray, ...]],
     cameras: Sequence[Camera],
     store: ArrayStore,
     monitor: Monitor,
 ) -> ByView:
-    """Put the mask of every view, and its render if computed, into the store; return the masks."""
+    """Put the mask of every view, or its `pictures`, into the store; return the masks."""
 
     def put(camera: Camera) -> None:
         with monitor.stage("masks"):
             found = compute(camera)
             arrays = found if isinstance(found, tuple) else (found,)
-            for kind, array in zip((MASK, RENDER), arrays, strict=False):
+            for kind, array in zip((MASK, RENDER, SCORE), arrays, strict=False):
                 store.put(kind, camera.name, array)
 
     with view_threads() as pool:

@@ -23,6 +23,7 @@ from gsc_jax.render.tiles import View, bin_view
 from gsc_jax.scene import Camera, Gaussians, InputError
 from gsc_jax.scene.gaussians import filled_up
 from gsc_jax.scene.parallel import bounded_map, view_threads
+from gsc_jax.scene.pytree import short_repr
 from gsc_jax.splat import render_view
 from gsc_jax.vote import Tally, cast_votes, no_votes, tally
 
@@ -48,6 +49,8 @@ class Observation:
     evidence: EvidenceOfViews
     masks: Mapping[str, np.ndarray]
     probabilities: Mapping[str, np.ndarray]
+
+    __repr__ = short_repr
 
     @functools.cached_property
     def votes(self) -> Tally:

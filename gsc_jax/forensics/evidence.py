@@ -24,6 +24,7 @@ from gsc_jax.forensics.traces import Trace, any_trace, quaternion_convention, sh
 from gsc_jax.scene import Gaussians
 from gsc_jax.scene.gaussians import usable_rows
 from gsc_jax.scene.neighbours import order_of_leaves
+from gsc_jax.scene.pytree import short_repr
 
 LOCAL_TRACES = quantisation, sh_degree, quaternion_convention
 """Traces that are functions of N Gaussians with finite values and of their neighbours (N, K)."""
@@ -45,6 +46,8 @@ class ForensicEvidence(Prior):
     level: float
     traces: tuple[Trace, ...]
     classification: Classification
+
+    __repr__ = short_repr
 
 
 def forensic_evidence(

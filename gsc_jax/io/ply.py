@@ -24,6 +24,7 @@ from gsc_jax.io.validation import brief, reported, shown
 from gsc_jax.scene import Array, Gaussians, InputError, invalid_rows
 from gsc_jax.scene.gaussians import usable_rows
 from gsc_jax.scene.parallel import blocks
+from gsc_jax.scene.pytree import short_repr
 
 if TYPE_CHECKING:
     from plyfile import PlyData, PlyElement
@@ -54,6 +55,8 @@ class PlyScene:
     rows: np.ndarray
     ply: "PlyData"
     dropped: dict[str, int]
+
+    __repr__ = short_repr
 
     @property
     def total(self) -> int:

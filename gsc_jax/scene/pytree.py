@@ -1,7 +1,8 @@
-"""How the package declares its types: frozen, keyword-only pytrees."""
+"""How the package declares its types: frozen, keyword-only pytrees with a short `repr`."""
 
-import functools
-from typing import TYPE_CHECKING, TypeVar, dataclass_transform
+import dataclasses
+import reprlib
+from typing import TYPE_CHECKING, Any, TypeVar, dataclass_transform
 
 import chex
 
@@ -9,13 +10,32 @@ T = TypeVar("T")
 
 STATIC = {"static": True}
 """Metadata of the fields that `jax.tree_util.register_dataclass` makes static; chex has none."""
+SHORT = 16
+"""Entries up to which `short_repr` prints an array, such as the matrix of a camera."""
+
+
+def short_repr(self: Any) -> str:
+    """A line with the fields of a dataclass: arrays as `float32[1000, 3]`, the rest shortened."""
+
+    def shown(value: Any) -> str:
+        if getattr(value, "size", 0) > SHORT:
+            return f"{value.dtype}{list(value.shape)}"
+        return " ".join(repr(value).split()) if hasattr(value, "shape") else reprlib.repr(value)
+
+    values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+    fields = ", ".join(f"{name}={shown(value)}" for name, value in values.items())
+    return f"{type(self).__name__}({fields})"
+
 
 if TYPE_CHECKING:
-
+    # Type checkers do not understand chex's own annotations.
     @dataclass_transform(frozen_default=True, kw_only_default=True)
     def pytree(cls: type[T]) -> type[T]:
         """Declare an immutable dataclass whose fields are the leaves of a pytree."""
         ...
 else:
-    # Type checkers do not understand chex's own annotations, hence the declaration above.
-    pytree = functools.partial(chex.dataclass, frozen=True, kw_only=True, mappable_dataclass=False)
+
+    def pytree(cls: type[T]) -> type[T]:
+        """Declare an immutable dataclass whose fields are the leaves of a pytree."""
+        cls.__repr__ = short_repr
+        return chex.dataclass(cls, frozen=True, kw_only=True, mappable_dataclass=False)

@@ -12,8 +12,8 @@ from gsc_jax.evidence.masks import (
     MIN_COVERAGE,
     Labelled,
     filled_scores,
-    mask_and_render,
     normalise,
+    pictures,
     rendered_share,
     stored_masks,
     view_mask,
@@ -149,11 +149,11 @@ def test_thresholds_are_at_least_0_and_below_1(wrong):
 
 
 @pytest.mark.parametrize("rule", ["share", "attribute", "per-view"])
-def test_a_mask_and_its_render_are_those_of_the_two_functions(rule):
+def test_mask_render_and_scores_are_those_of_their_functions(rule):
     scene = random_scene(60)
     scores = Labelled(np.linspace(0, 1, 60, dtype=np.float32), np.arange(60) >= 30)
     options = {"rule": rule, "threshold": 0.4, "near": 0.2}
-    mask, image = mask_and_render(scene, CAMERA, scores, **options)
+    mask, image, score = pictures(scene, CAMERA, scores, **options)
     assert np.array_equal(mask, view_mask(scene, CAMERA, scores, **options))
     assert mask.any()
     assert not mask.all()
@@ -161,30 +161,33 @@ def test_a_mask_and_its_render_are_those_of_the_two_functions(rule):
     expected = 255 * np.asarray(render(scene, CAMERA)[0])
     assert expected.max() > 100
     np.testing.assert_allclose(image, expected, atol=0.501)
+    np.testing.assert_allclose(score, rendered_share(scene, CAMERA, scores.tamper), atol=1e-6)
 
 
 def test_bright_renders_are_clipped():
     scene = with_row(blobs([LEFT], opacity=0.9), "sh", 9.0)
     scores = Labelled(np.ones(1, np.float32), np.ones(1, bool))
-    _, image = mask_and_render(scene, CAMERA, scores, rule="share", threshold=0.5, near=0.2)
+    _, image, _ = pictures(scene, CAMERA, scores, rule="share", threshold=0.5, near=0.2)
     assert image.max() == 255
 
 
-@pytest.mark.parametrize("with_render", [False, True])
-def test_masks_and_renders_are_stored_by_the_name_of_their_view(with_render):
+@pytest.mark.parametrize("with_pictures", [False, True])
+def test_masks_and_pictures_are_stored_by_the_name_of_their_view(with_pictures):
     cameras, calls, store = cameras_in_a_row(3, 4, 3, step=0.1), [], ArrayStore()
     masks = {camera.name: np.full((3, 4), k % 2 == 0) for k, camera in enumerate(cameras)}
-    image = np.ones((3, 4, 3), np.uint8)
+    image, score = np.ones((3, 4, 3), np.uint8), np.ones((3, 4), np.float32)
 
     def compute(camera):
-        return (masks[camera.name], image) if with_render else masks[camera.name]
+        mask = masks[camera.name]
+        return (mask, image, score) if with_pictures else mask
 
     monitor = Monitor(progress=lambda *step: calls.append(step))
     stored = stored_masks(compute, cameras, store, monitor)
     assert list(stored) == list(masks)
     assert all(np.array_equal(stored[name], mask) for name, mask in masks.items())
     assert calls == [("masks", done, 3) for done in (1, 2, 3)]
-    assert [store.has("render", name) for name in masks] == [with_render] * 3
+    for kind in ("render", "score"):
+        assert [store.has(kind, name) for name in masks] == [with_pictures] * 3
 
 
 def test_transparent_rows_have_no_score_and_no_label():

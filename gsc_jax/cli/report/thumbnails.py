@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import quote
 
+import numpy as np
+
 from gsc_jax.cli.pictures import layer_path
 from gsc_jax.scene.parallel import bounded_map, view_threads
 
@@ -64,13 +66,15 @@ def url(path: Path, folder: Path) -> str:
 
 
 def data_uri(path: Path, side: int) -> str:
-    """Shrink a .jpg, or a grey .png with few levels, to a data URI; `side` is in pixels."""
+    """Shrink a .jpg, or a grey .png, to a data URI; `side` is in pixels."""
     from PIL import Image
+    from skimage.util import img_as_ubyte
 
     lossy = path.suffix == ".jpg"
     with Image.open(path) as image:
         image.draft("RGB", (side, side))
-        small = image.convert("RGB" if lossy else "L")
+        grey = img_as_ubyte(np.asarray(image)) if not lossy else None
+        small = image.convert("RGB") if grey is None else Image.fromarray(grey)
     small.thumbnail((side, side), Image.Resampling.BOX)
     file = io.BytesIO()
     if lossy:

@@ -183,10 +183,14 @@ def test_every_view_is_rendered_and_marked(tmp_path: Path):
     monitor = Monitor(progress=lambda *step: steps.append(step))
     scene, cameras = located.scene, located.cameras
     renders = {c.name: img_as_ubyte(render(scene.gaussians, c)[0]) for c in cameras}
-    write_results(out, located, renders, monitor=monitor)
+    scores = {c.name: np.full((c.height, c.width), 1 / 3, np.float32) for c in cameras}
+    write_results(out, located, renders, scores, monitor)
     write_report(out, {"scene": "x"}, located, monitor=monitor)
     assert len([*(out / "render").iterdir()]) == len([*(out / "overlay").iterdir()]) == 5
     assert (out / "overview.png").is_file()
+    levels = iio.imread(out / "scores" / "view 00.png")
+    assert levels.dtype == np.uint16
+    assert (levels == round(65535 / 3)).all()
     assert steps.count(("write", 5, 5)) == steps.count(("report", 5, 5)) == 1
     rendered, marked = (iio.imread(out / kind / "view 00.jpg") for kind in ("render", "overlay"))
     mask = located.result.masks["view 00"]

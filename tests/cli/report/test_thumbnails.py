@@ -38,6 +38,14 @@ def test_two_hundred_views_fit_into_an_email(tmp_path: Path):
     assert size["masks"] < size["render"] / 2
 
 
+def test_thumbnail_of_16_bits_keeps_the_levels(tmp_path: Path):
+    levels = np.repeat(np.linspace(0, 1, 8), 40)
+    write_probability(tmp_path / "scores.png", np.tile(levels, (90, 1)))
+    uri = data_uri(tmp_path / "scores.png", 320)
+    found = iio.imread(base64.b64decode(uri.partition(",")[2]))
+    np.testing.assert_allclose(found[45, 20::40, 0], 255 * levels[20::40], atol=3)
+
+
 def test_thumbnail_keeps_shape_and_colours(tmp_path: Path):
     write_image(tmp_path / "wide.jpg", np.full((90, 640, 3), (0.8, 0.2, 0.4)))
     write_mask(tmp_path / "high.png", np.arange(700)[:, None] < np.full(40, 350))

@@ -1,7 +1,6 @@
 """`gsc-jax locate`: from files to a folder of results; all input is checked first."""
 
 import dataclasses
-import functools
 import hashlib
 import tempfile
 import uuid
@@ -20,9 +19,8 @@ from gsc_jax.cli.report.wording import Located
 from gsc_jax.cli.staging import BY_CAMERA, FILES, replacing, views_of, writing_to
 from gsc_jax.estimators.protocol import Estimator, Prior
 from gsc_jax.evidence.detector import Detector
-from gsc_jax.evidence.masks import RENDER, SCORE
 from gsc_jax.evidence.monitor import Monitor
-from gsc_jax.evidence.storage import ArrayStore, ByView
+from gsc_jax.evidence.storage import ArrayStore
 from gsc_jax.io.cameras import camera_files
 from gsc_jax.io.files import content_bytes, content_digest, memory_limit
 from gsc_jax.io.ply import PlyScene
@@ -113,11 +111,7 @@ def locate_and_write(inputs: Inputs, *, prior: Prior | bool, monitor: Monitor) -
             inputs=inputs.files,
         )
         with monitor.stage("write"):
-            renders, scores = (
-                ByView(tuple(result.masks), functools.partial(store.get, kind))
-                for kind in (RENDER, SCORE)
-            )
-            write_results(folder, located, renders, scores, monitor)
+            write_results(folder, located, store, monitor=monitor)
         warnings = list(dict.fromkeys([*inputs.warnings, *result.warnings]))  # of `check_views`
         times = {"stages": monitor.summary(), "seconds": monitor.elapsed()}
         result = dataclasses.replace(result, **times, warnings=warnings)

@@ -4,13 +4,14 @@ Pictures have full size: most of the time of a small render would also go into s
 """
 
 import dataclasses
+import functools
 import hashlib
 import importlib.metadata
 import json
 import math
 import os
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,9 @@ from gsc_jax.cli.report.page import report_page
 from gsc_jax.cli.report.wording import Located, are_candidates, found_traces
 from gsc_jax.cli.scene_input import evenly_spaced
 from gsc_jax.cli.staging import BY_CAMERA, FILES, files_below
+from gsc_jax.evidence.masks import RENDER, SCORE
 from gsc_jax.evidence.monitor import Monitor
+from gsc_jax.evidence.storage import ArrayStore
 from gsc_jax.io.cameras import save_cameras
 from gsc_jax.io.files import atomic
 from gsc_jax.io.highlight import save_highlight
@@ -36,14 +39,8 @@ from gsc_jax.scene.parallel import bounded_map, view_threads
 PACKAGES = ("gsc_jax", "numpy", "jax", "jaxlib", "optax")
 
 
-def write_results(
-    folder: Path,
-    located: Located,
-    renders: Mapping[str, np.ndarray],
-    scores: Mapping[str, np.ndarray],
-    monitor: Monitor,
-) -> None:
-    """Write all results, with renders and scores of `pictures`, but report.html and result.json."""
+def write_results(folder: Path, located: Located, store: ArrayStore, *, monitor: Monitor) -> None:
+    """Write all but report.html and result.json; the store has the `pictures` of all views."""
     scene, cameras, result = located.scene, located.cameras, located.result
     monitor.progress("write", 0, len(cameras))
     save_cameras(folder / "views.json", cameras)
@@ -52,15 +49,11 @@ def write_results(
     save_highlight(folder / "highlight.ply", scene.gaussians, result.labels, candidates=candidates)
     save_array(folder / "labels.npy", scene.expand(result.labels))
     save_array(folder / "tamper.npy", scene.expand(result.tamper))
-
-    def write_view(camera: Camera) -> None:
-        write_probability(layer_path(folder, "scores", camera.name), scores[camera.name])
-        _write_view(folder, result, renders, camera)
-
+    write_view = functools.partial(_write_view, folder, result, store)
     with view_threads() as pool:
         for done, _ in enumerate(bounded_map(pool, write_view, cameras), start=1):
             monitor.progress("write", done, len(cameras))
-    _write_overview(folder / "overview.png", cameras, result, renders)
+    _write_overview(folder / "overview.png", cameras, result, store)
 
 
 def planned_outputs(cameras: Sequence[Camera]) -> list[str]:
@@ -131,13 +124,13 @@ def _view(camera: Camera, result: Result) -> dict[str, Any]:
     }
 
 
-def _write_view(
-    folder: Path, result: Result, renders: Mapping[str, np.ndarray], camera: Camera
-) -> None:
+def _write_view(folder: Path, result: Result, store: ArrayStore, camera: Camera) -> None:
     """Write the masks and pictures of a view."""
-    name, image = camera.name, renders[camera.name] / np.float32(255)
+    name = camera.name
+    image = store.get(RENDER, name) / np.float32(255)
     mask = result.masks[name]
     write_mask(layer_path(folder, "masks", name), mask)
+    write_probability(layer_path(folder, "scores", name), store.get(SCORE, name))
     if name in result.probabilities:
         write_probability(layer_path(folder, "detector", name), result.probabilities[name])
     write_image(layer_path(folder, "render", name), image)
@@ -149,7 +142,7 @@ def _tint(result: Result) -> np.ndarray:
 
 
 def _write_overview(
-    path: Path, cameras: Sequence[Camera], result: Result, renders: Mapping[str, np.ndarray]
+    path: Path, cameras: Sequence[Camera], result: Result, store: ArrayStore
 ) -> None:
     """Write a picture with the views of the largest masks, preferably views that a detector saw."""
     judged = [camera for camera in cameras if camera.name in result.probabilities] or cameras
@@ -159,7 +152,7 @@ def _write_overview(
         shown = sorted(judged, key=lambda camera: -shares[camera.name])[:SHEET_ROWS]
     rows = {}
     for name in (camera.name for camera in shown):
-        image = renders[name] / np.float32(255)
+        image = store.get(RENDER, name) / np.float32(255)
         detector = [result.probabilities[name]] if result.probabilities else []
         rows[name] = [image, *detector, overlay(image, result.masks[name], _tint(result))]
     found = "candidates" if are_candidates(result.verdict) else "found"

@@ -20,7 +20,9 @@ from gsc_jax.cli.outputs import write_report, write_results
 from gsc_jax.cli.report import wording
 from gsc_jax.cli.report.thumbnails import LAYERS
 from gsc_jax.estimators import METHODS
+from gsc_jax.evidence.masks import RENDER, SCORE
 from gsc_jax.evidence.monitor import Monitor
+from gsc_jax.evidence.storage import ArrayStore
 
 NAMES = [f"view {i:02}" for i in range(8)]
 
@@ -182,9 +184,11 @@ def test_every_view_is_rendered_and_marked(tmp_path: Path):
     steps: list[tuple[str, int, int]] = []
     monitor = Monitor(progress=lambda *step: steps.append(step))
     scene, cameras = located.scene, located.cameras
-    renders = {c.name: img_as_ubyte(render(scene.gaussians, c)[0]) for c in cameras}
-    scores = {c.name: np.full((c.height, c.width), 1 / 3, np.float32) for c in cameras}
-    write_results(out, located, renders, scores, monitor)
+    store = ArrayStore()
+    for view in cameras:
+        store.put(RENDER, view.name, img_as_ubyte(render(scene.gaussians, view)[0]))
+        store.put(SCORE, view.name, np.full((view.height, view.width), 1 / 3, np.float32))
+    write_results(out, located, store, monitor=monitor)
     write_report(out, {"scene": "x"}, located, monitor=monitor)
     assert len([*(out / "render").iterdir()]) == len([*(out / "overlay").iterdir()]) == 5
     assert (out / "overview.png").is_file()

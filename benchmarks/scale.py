@@ -2,14 +2,16 @@
 
     python benchmarks/scale.py
 
-Reads the part `collection` of `docs/performance.json` (`benchmarks/collection.py`), prints the
-tables of `docs/scale.md` and writes them there. The simulation (SimPy) has workers that read scenes
-from a shared storage and judge them; scenes have the measured spread around the line of seconds
-against Gaussians, and a share of them kills its process and is tried again.
+Reads the parts `collection` and `collection_long` of `docs/performance.json`, which
+`benchmarks/collection.py` measures, prints the tables of `docs/scale.md` and writes them there. The
+simulation (SimPy) has workers that read scenes from a shared storage and judge them; scenes have
+the measured spread around the line of seconds against Gaussians, and a share of them kills its
+process and is tried again.
 """
 
 import dataclasses
 import json
+import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -41,6 +43,8 @@ ROW_BYTES, REPORT_BYTES, REPORTED = 3_000, 6e6, 0.05
 """Bytes of a row and of the folder of a report, and the share of the scenes that have one."""
 PRICE = 0.04
 """Dollars per core and hour, about that of large clouds on demand in 2026: an assumption."""
+KINDS = {"reports": "every report", "scan": "rows only"}
+"""What a measured scan writes, by the beginning of its name."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -134,10 +138,9 @@ def against_ray(costs: Costs, values: dict) -> str:
                 f"{scan['seconds']:.0f} s",
                 f"{np.mean(runs):.0f} ± {np.std(runs):.0f} s",
                 f"{values['scan1']['seconds'] / scan['seconds']:.2f}",
-                f"{scan['peak_mib'] / 1024:.2f} GiB",
             ]
         )
-    heads = ["workers", "Ray here", "simulated", "times as fast as 1", "peak of a worker"]
+    heads = [f"{values['scenes']} scenes, workers", "Ray here", "simulated", "times as fast as 1"]
     return markdown(heads, lines)
 
 
@@ -171,32 +174,24 @@ def million(costs: Costs, start: float) -> str:
 
 def compared(values: dict) -> str:
     """Table: a loop over `gsc-jax locate`, scans that write the same folders, and rows alone."""
-    lines = [["loop over `gsc-jax locate`", f"{values['loop']:.0f} s", "1.00"]]
-    for name in values:
-        if name.startswith("reports"):
-            seconds = values[name]["seconds"]
-            workers = name.removeprefix("reports")
-            text = f"scan with every report, {workers} worker{'s' * (workers != '1')}"
-            lines.append([text, f"{seconds:.0f} s", f"{values['loop'] / seconds:.2f}"])
-    for name in ("scan1", "scan2"):
-        seconds = values[name]["seconds"]
-        text = f"scan, rows only, {name.removeprefix('scan')} workers"
-        lines.append([text, f"{seconds:.0f} s", f"{values['loop'] / seconds:.2f}"])
-    return markdown([f"{values['scenes']} scenes", "time", "times as fast"], lines)
-
-
-def memory(rows: dict, reports: dict) -> str:
-    """Table: the largest memory of a worker over scans of many scenes, without and with reports."""
-    scans = {
-        f"{rows['scenes']} scenes, rows only, {n} worker{'s' * (n > 1)}": rows[f"scan{n}"]
-        for n in (1, 2)
-    }
-    scans[f"{reports['scenes']} scenes, every report, 1 worker"] = reports["reports1"]
+    rows = [["loop over `gsc-jax locate`", values["loop"], None]]
+    for name, scan in values.items():
+        kind, workers = re.fullmatch(r"([a-z]+)(\d*)", name).groups()
+        if kind in KINDS:
+            plural = "s" * (workers != "1")
+            rows.append([f"scan, {KINDS[kind]}, {workers} worker{plural}", scan["seconds"], scan])
     lines = [
-        [name, f"{scan['peak_mib'] / 1024:.2f} GiB", f"{scan['growth_mib_per_100']:.0f} MiB"]
-        for name, scan in scans.items()
+        [
+            text,
+            f"{seconds:.0f} s",
+            f"{values['loop'] / seconds:.2f}",
+            f"{scan['peak_mib'] / 1024:.2f} GiB" if scan else "",
+            f"{scan['growth_mib_per_100']:.0f} MiB" if scan else "",
+        ]
+        for text, seconds, scan in rows
     ]
-    return markdown(["scan", "peak of a worker", "growth per 100 scenes"], lines)
+    heads = ["time", "times as fast", "peak of a worker", "growth per 100 scenes"]
+    return markdown([f"{values['scenes']} scenes", *heads], lines)
 
 
 def main() -> None:
@@ -216,10 +211,8 @@ def main() -> None:
             "on one core, "
             f"within a factor of {costs.ratios.min():.2f} to {costs.ratios.max():.2f}; of that, "
             f"{shares}. A scan starts in {start:.0f} s.",
-            compared(values),
+            compared(parts["collection_long"]["values"]),
             against_ray(costs, values),
-            memory(parts["collection200"]["values"], parts["collection_reports"]["values"]),
-            compared(parts["collection200"]["values"]),
             million(costs, start),
         ]
     )

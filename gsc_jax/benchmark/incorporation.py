@@ -35,13 +35,15 @@ def transformed(
     if not scale > 0:
         raise ValueError(f"scale must be positive, got {scale}")
     R = np.asarray(rotation, np.float64)
-    quat = Rotation.from_matrix(R).as_quat(scalar_first=True)
+    # The product of quaternions from the left as a matrix: it keeps the lengths of the right ones.
+    w, x, y, z = Rotation.from_matrix(R).as_quat(scalar_first=True)
+    left = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
     means = scale * np.asarray(gaussians.means, np.float64) @ R.T + np.asarray(translation)
     return dataclasses.replace(
         gaussians,
         means=means.astype(np.float32),
         log_scales=(np.asarray(gaussians.log_scales) + np.log(scale)).astype(np.float32),
-        quats=_quaternion_product(quat, np.asarray(gaussians.quats, np.float64)).astype(np.float32),
+        quats=(np.asarray(gaussians.quats, np.float64) @ left.T).astype(np.float32),
         sh=np.asarray(rotate(gaussians.sh, R)),
     )
 
@@ -182,10 +184,3 @@ def _pixel_sizes(visibility: regions.Visibility, places: np.ndarray) -> np.ndarr
         depth = places @ viewmat[2, :3] + viewmat[2, 3]
         sizes.append(np.where(depth > 0, depth, np.nan) / np.sqrt(K[0, 0] * K[1, 1]))
     return np.nanmedian(sizes, axis=0)
-
-
-def _quaternion_product(quat: np.ndarray, quats: np.ndarray) -> np.ndarray:
-    """Product of a quaternion with each of many, wxyz; lengths are kept."""
-    w, x, y, z = quat
-    left = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
-    return quats @ left.T

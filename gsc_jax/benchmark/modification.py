@@ -15,6 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gsc_jax.benchmark import regions
+from gsc_jax.benchmark.scenes import concatenate
 from gsc_jax.render.spherical_harmonics import Y0
 from gsc_jax.scene import Gaussians
 
@@ -38,8 +39,14 @@ def modify_region(
     elif kind == "scale":
         after = warp_gaussians(before, lambda x: scaling(x, region, factor))
         change = f"made {factor:.1f} times as large"
+    elif rng.random() < 0.5:  # of kind "shape", like the next one
+        angle = rng.choice([-1, 1]) * rng.uniform(90, 200)
+        after = warp_gaussians(before, lambda x: twist(x, region, np.radians(angle)))
+        change = f"its middle twisted by {angle:.0f} degrees"
     else:
-        after, change = _reshape(before, region, rng)
+        height = rng.uniform(0.4, 0.8) * region.radius
+        after = warp_gaussians(before, lambda x: bulge(x, region, height))
+        change = f"its middle lifted by {height:.2g}"
     # A warp that fades out leaves the border as it was: those rows stay authentic to the bit.
     changed = changed_rows(before, after, region.radius)
     rows = region.rows[changed]
@@ -125,18 +132,6 @@ def add_pattern(
     return patterned, f"{'checks' if checks else 'stripes'} {wavelength:.2g} wide printed on it"
 
 
-def _reshape(
-    before: Gaussians, region: regions.Region, rng: np.random.Generator
-) -> tuple[Gaussians, str]:
-    if rng.random() < 0.5:
-        angle = rng.choice([-1, 1]) * rng.uniform(90, 200)
-        after = warp_gaussians(before, lambda x: twist(x, region, np.radians(angle)))
-        return after, f"its middle twisted by {angle:.0f} degrees"
-    height = rng.uniform(0.4, 0.8) * region.radius
-    after = warp_gaussians(before, lambda x: bulge(x, region, height))
-    return after, f"its middle lifted by {height:.2g}"
-
-
 def scaling(x: jax.Array, region: regions.Region, factor: float) -> jax.Array:
     """Scale a point of a region about its centre."""
     center = jnp.asarray(region.center, jnp.float32)
@@ -178,10 +173,6 @@ def _tint(rng: np.random.Generator, strength: float) -> np.ndarray:
 
 def with_rows(gaussians: Gaussians, rows: np.ndarray, changed: Gaussians) -> Gaussians:
     """Copy of a scene with other Gaussians in these rows."""
-
-    def put(leaf, new):
-        leaf = np.array(leaf)
-        leaf[rows] = new
-        return leaf
-
-    return jax.tree.map(put, gaussians, changed)
+    order = np.arange(len(gaussians))
+    order[rows] = len(gaussians) + np.arange(len(changed))
+    return concatenate([gaussians, changed]).take(order)

@@ -21,6 +21,7 @@ CANDIDATES = 8
 SECTORS = 24
 """Angular sectors in which the edge of a hole is measured: 15 degrees each."""
 SECTOR_BOUNDS = np.linspace(-np.pi, np.pi, SECTORS + 1)
+SECTOR_MIDDLES = SECTOR_BOUNDS[1:] - np.pi / SECTORS
 MAX_SOURCE_DISTANCE = 1.6
 """Distance from the centre of the farthest Gaussian to copy, in multiples of that of the edge."""
 MAX_HEIGHT = 0.15
@@ -62,8 +63,7 @@ class Hole:
         edge = _edge_radius(self.rows, angles)
         bounds = np.array([1, (1 + MAX_SOURCE_DISTANCE) / 2, MAX_SOURCE_DISTANCE])
         counts = np.histogram2d(radii / edge, angles, bins=[bounds, SECTOR_BOUNDS])[0]
-        middles = SECTOR_BOUNDS[1:] - np.pi / SECTORS
-        edges = _edge_radius(self.rows, middles)
+        edges = _edge_radius(self.rows, SECTOR_MIDDLES)
         return counts, np.outer(np.diff(bounds**2), edges**2) * np.pi / SECTORS
 
     @property
@@ -123,14 +123,19 @@ def fit_hole(gaussians: Gaussians, region: regions.Region) -> Hole:
 
 def fill_hole(gaussians: Gaussians, hole: Hole, rng: np.random.Generator) -> Gaussians:
     """Fill a hole with noisy copies of its ring, mirrored at the edge, at the same density."""
-    source = np.flatnonzero(hole.in_surface)
-    flat = _uniform_points(hole, rng)
+    counts, areas = hole.sector_counts
+    density = counts.sum() / areas[counts > 0].sum()
+    far = _edge_radius(hole.rows, SECTOR_BOUNDS).max()
+    flat = rng.uniform(-far, far, (round(density * (2 * far) ** 2), 2))
     radii, angles = _polar(flat)
     edge = _edge_radius(hole.rows, angles)
+    inside = radii < edge
+    flat, radii, edge = flat[inside], radii[inside], edge[inside]
     mirrored = edge + (MAX_SOURCE_DISTANCE - 1) * (edge - radii)
     mirrored = flat * (mirrored / np.maximum(radii, 1e-9))[:, None]
     # Off the exact mirror image, so that neighbours do not copy the same Gaussian.
     mirrored += 0.02 * rng.standard_normal(mirrored.shape)
+    source = np.flatnonzero(hole.in_surface)
     source = source[KDTree(hole.ring[source, :2]).query(mirrored)[1]]
     heights = hole.ring[source, 2] + _quadratic_terms(flat) @ hole.surface
     points = np.column_stack([flat, heights])
@@ -144,16 +149,6 @@ def fill_hole(gaussians: Gaussians, hole: Hole, rng: np.random.Generator) -> Gau
         log_scales=np.asarray(copies.log_scales) + noise[1],
         sh=sh,
     )
-
-
-def _uniform_points(hole: Hole, rng: np.random.Generator) -> np.ndarray:
-    """Random points all over the footprint of a hole, as dense as the ring, shape (P, 2)."""
-    counts, areas = hole.sector_counts
-    density = counts.sum() / areas[counts > 0].sum()
-    far = _edge_radius(hole.rows, SECTOR_BOUNDS).max()
-    flat = rng.uniform(-far, far, (round(density * (2 * far) ** 2), 2))
-    radii, angles = _polar(flat)
-    return flat[radii < _edge_radius(hole.rows, angles)]
 
 
 def _polar(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -201,10 +196,9 @@ def _fit_quadratic(points: np.ndarray) -> np.ndarray:
 def _edge_radius(points: np.ndarray, angles: np.ndarray) -> np.ndarray:
     """Radius of the edge of points at these angles, smoothed over sectors."""
     radii, directions = _polar(points)
-    centers = SECTOR_BOUNDS[1:] - np.pi / SECTORS
     sector = np.digitize(directions, SECTOR_BOUNDS[1:-1])
     middle = np.quantile(radii, 0.8)
     near = [np.append(radii[sector == index], middle) for index in range(SECTORS)]
     edge = np.array([np.quantile(part, 0.95) for part in near])
     smooth = (np.roll(edge, 1) + 2 * edge + np.roll(edge, -1)) / 4
-    return np.interp(angles, centers, smooth, period=2 * np.pi)
+    return np.interp(angles, SECTOR_MIDDLES, smooth, period=2 * np.pi)

@@ -127,13 +127,16 @@ def _probability_map(
     region: np.ndarray, failures: Failures, rng: np.random.Generator
 ) -> np.ndarray:
     """Probability map of a view in which this region is flagged, blobs and rough edges added."""
+    from scipy.ndimage import gaussian_filter
+
     distance = _signed_distance(region)
     for _ in range(rng.poisson(failures.blobs)):
         distance = np.maximum(distance, _blob(region.shape, failures.blob_size, rng))
     if failures.boundary > 0:
-        distance = distance + failures.boundary * _smooth_noise(
-            region.shape, 3 * failures.boundary, rng
-        )
+        length = 3 * failures.boundary
+        noise = gaussian_filter(rng.normal(size=region.shape), length, mode="wrap")
+        # Averaging over an area of 4 pi length^2 pixels divides the variance by it.
+        distance = distance + failures.boundary * (noise * np.sqrt(4 * np.pi) * length)
     return expit(distance / failures.softness) if failures.softness else (distance > 0) * 1.0
 
 
@@ -155,12 +158,3 @@ def _blob(shape: tuple[int, int], size: float, rng: np.random.Generator) -> np.n
     along = (np.cos(angle) * x + np.sin(angle) * y) / np.sqrt(stretch)
     across = (np.cos(angle) * y - np.sin(angle) * x) * np.sqrt(stretch)
     return radius - np.hypot(along, across)
-
-
-def _smooth_noise(shape: tuple[int, int], length: float, rng: np.random.Generator) -> np.ndarray:
-    """Gaussian noise of about unit variance with a correlation length in pixels."""
-    from scipy.ndimage import gaussian_filter
-
-    noise = gaussian_filter(rng.normal(size=shape), length, mode="wrap")
-    # Averaging over an area of 4 pi length^2 pixels divides the variance by it.
-    return noise * np.sqrt(4 * np.pi) * length

@@ -11,7 +11,7 @@ import dataclasses
 import functools
 import importlib.resources
 import io
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
 import jax
@@ -98,11 +98,10 @@ def flat(center: Vector, width: float, depth: float) -> Surface:
 def box(foot: Vector, width: float, height: float, depth: float) -> list[Surface]:
     """Faces of a box that stands on the centre of its lower face, which is omitted."""
     foot = np.asarray(foot)
-    sides = [(RIGHT, width, depth), (-RIGHT, width, depth), (FRONT, depth, width)]
-    sides.append((-FRONT, depth, width))
     faces = [
         panel(foot + UP * height / 2 + normal * across / 2, normal, along, height)
-        for normal, across, along in sides
+        for axis, across, along in ((RIGHT, width, depth), (FRONT, depth, width))
+        for normal in (axis, -axis)
     ]
     return [*faces, flat(foot + UP * height, width, depth)]
 
@@ -194,7 +193,7 @@ def sample_parts(
     counts = np.diff(np.rint(shares / shares[-1] * count).astype(int), prepend=0)
     covered = [_cover(p, n, statistics, rng) for p, n in zip(parts, counts, strict=True) if n]
     columns = map(np.concatenate, zip(*covered, strict=True))
-    return _surfels(*columns, statistics=statistics, rng=rng)
+    return _surfels(columns, statistics, rng)
 
 
 def _cover(
@@ -212,15 +211,10 @@ def _cover(
 
 
 def _surfels(
-    points: np.ndarray,
-    normals: np.ndarray,
-    colors: np.ndarray,
-    spacing: np.ndarray,
-    *,
-    statistics: TrainingStatistics,
-    rng: np.random.Generator,
+    columns: Iterable[np.ndarray], statistics: TrainingStatistics, rng: np.random.Generator
 ) -> Gaussians:
-    """Flat Gaussians of degree 1 at points (N, 3) of a surface, with RGB colours in [0, 1]."""
+    """Flat Gaussians of degree 1 at N points of a surface, from the columns of `_cover`."""
+    points, normals, colors, spacing = columns
     count = len(points)
     normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
     tangents = np.cross(normals, rng.normal(size=(count, 3)))

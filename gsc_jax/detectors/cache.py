@@ -82,13 +82,11 @@ class CachedDetector:
     def warnings(self) -> tuple[str, ...]:
         """Warnings of the detector and of the cache."""
         found = tuple(getattr(self.detector, "warnings", ()))
-        if not self._failures:
-            return found
-        return (
-            *found,
-            f"{self.folder}: the cache failed {len(self._failures)} times "
-            f"({self._failures[0]}), so the detector ran again; if this repeats, delete the folder",
-        )
+        if self._failures:
+            text = f"the cache failed {len(self._failures)} times ({self._failures[0]})"
+            text += ", so the detector ran again; if this repeats, delete the folder"
+            found = (*found, f"{self.folder}: {text}")
+        return found
 
     @contextlib.contextmanager
     def _failing_softly(self) -> Iterator[None]:

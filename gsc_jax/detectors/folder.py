@@ -48,11 +48,9 @@ class FolderDetector:
         self._index: dict[tuple[str, str], list[str]] = defaultdict(list)
         for file in self._files:
             stem = file.rpartition(".")[0]
-            bare = _without_suffixes(stem)
-            self._index["stem", stem].append(file)
-            self._index["bare", bare].append(file)
-            self._index["stem base", _base(stem)].append(file)
-            self._index["bare base", _base(bare)].append(file)
+            for kind, name in (("stem", stem), ("bare", _without_suffixes(stem))):
+                self._index[kind, name].append(file)
+                self._index[f"{kind} base", name.rpartition("/")[2]].append(file)
 
     @property
     def fingerprint(self) -> str:
@@ -138,8 +136,8 @@ class FolderDetector:
         name = name.replace("\\", "/")
         bare = _without_suffixes(name)
         exact = (("stem", name), ("stem", bare), ("bare", bare))
-        loose = (("stem base", _base(name)), ("stem base", _base(bare)), ("bare base", _base(bare)))
-        for rank, key in enumerate(exact + loose):
+        loose = ((f"{kind} base", path.rpartition("/")[2]) for kind, path in exact)
+        for rank, key in enumerate((*exact, *loose)):
             files = self._index.get(key, [])
             if rank >= len(exact):
                 files = [file for file in files if "/" not in file or "/" not in name]
@@ -180,8 +178,3 @@ def _without_suffixes(name: str) -> str:
     if dot and f".{suffix.lower()}" in masks.IMAGE_SUFFIXES:
         return _without_suffixes(stem)
     return name
-
-
-def _base(name: str) -> str:
-    """Last path component."""
-    return name.rpartition("/")[2]

@@ -96,30 +96,30 @@ class OnnxDetector(NetworkDetector):
         height, width = self.spec.size if isinstance(self.spec.size, tuple) else (None, None)
         return (1, 3, height, width) if self.spec.layout == "NCHW" else (1, height, width, 3)
 
-    def _input_size(self) -> tuple[int | None, int | None]:
+    def _input_size(self) -> list[int | None]:
         """Height and width to which every image is resized; None if the side is free."""
         name, shape = self._network.inputs[0].name, self._network.inputs[0].shape
         if self.spec.input not in (None, name):
             raise InputError(f"{self.path}: no input {self.spec.input!r}, the model has {name!r}")
-        start = 2 if self.spec.layout == "NCHW" else 1
+        start = self.spec.layout.index("H")
         sides = shape[start : start + 2]
         if 3 in sides:  # the colour channels of the other layout
             raise InputError(
                 f"{self.path}: input {name!r} has shape {shape_text(shape)}, the spec expects "
                 f"{shape_text(self._expected_input())}; change layout in the spec"
             )
-        height, width = (
+        return [
             side if isinstance(side, int) else wanted
             for side, wanted in zip(sides, self._expected_input()[start:], strict=False)
-        )
-        return height, width
+        ]
 
     def _check_map(self, shape: Shape) -> None:
         """Require a shape, with possibly free sides, of one map with the channel of the spec."""
         found = f"{self.path}: output {self._output.name!r} has shape {shape_text(shape)}"
         if len(shape) not in (2, 3, 4) or (len(shape) == 4 and not fits(shape[:1], (1,), {})):
             raise InputError(f"{found}, expected one map: [1, channels, height, width]")
-        count = 1 if len(shape) == 2 else shape[self._channel_axis(len(shape))]
+        # With fewer than four axes, the channels are first or absent, whatever the layout.
+        count = shape[self.spec.layout.index("C")] if len(shape) == 4 else (1, *shape)[-3]
         channel = self.spec.channel
         if not isinstance(count, int):
             return
@@ -130,10 +130,6 @@ class OnnxDetector(NetworkDetector):
                 f"{found}: it has {count} channels, and channel is {channel} in the spec; change "
                 "channel, output or layout"
             )
-
-    def _channel_axis(self, rank: int) -> int:
-        """Axis of the channels in a map of 3 or 4 axes."""
-        return 0 if rank == 3 else {"NCHW": 1, "NHWC": 3}[self.spec.layout]
 
     def _target(self, height: int, width: int) -> Size:
         """Input size of the network for an image of this size."""
@@ -155,7 +151,7 @@ class OnnxDetector(NetworkDetector):
         """Output as maps that cover the input, shape (channels, h, w)."""
         self._check_map(output.shape)
         if output.ndim == 4:
-            channels = np.moveaxis(output[0], self._channel_axis(4) - 1, 0)
+            channels = np.moveaxis(output, self.spec.layout.index("C"), 1)[0]
         else:
             channels = output if output.ndim == 3 else output[None]
         height, width = channels.shape[1:]

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     import viser
 
 THRESHOLD_STEP = 0.001
+STEPS = {"previous": -1, "here": 0, "next": 1}
 AT_THRESHOLD: tuple[Layer, ...] = ("result", "tampered only", "authentic only")
 """Layers that depend on the threshold."""
 SELECTED = np.array([1.0, 0.95, 0.2], np.float32)
@@ -72,12 +73,12 @@ def _add_camera_controls(server: "viser.ViserServer", contents: Contents) -> Non
     set_first_view(server, contents)
     with gui.add_folder("cameras"):
         chosen = gui.add_dropdown("camera", names, initial_value=names[0])
-        steps = gui.add_button_group("jump", ("previous", "here", "next"))
+        steps = gui.add_button_group("jump", list(STEPS))
 
-    def jump(client: "viser.ClientHandle | None", index: int) -> None:
+    def jump(client: "viser.ClientHandle | None", step: int = 0) -> None:
         if client is None:
             return
-        pose = contents.poses[index % len(names)]
+        pose = contents.poses[(names.index(chosen.value) + step) % len(names)]
         chosen.value = pose.name
         with client.atomic():
             client.camera.up_direction = pose.up
@@ -85,14 +86,8 @@ def _add_camera_controls(server: "viser.ViserServer", contents: Contents) -> Non
             client.camera.look_at = pose.look_at
             client.camera.fov = pose.fov
 
-    @chosen.on_update
-    def _(event: "viser.GuiEvent") -> None:
-        jump(event.client, names.index(chosen.value))
-
-    @steps.on_click
-    def _(event: "viser.GuiEvent") -> None:
-        step = {"previous": -1, "here": 0, "next": 1}[steps.value]
-        jump(event.client, names.index(chosen.value) + step)
+    chosen.on_update(lambda event: jump(event.client))
+    steps.on_click(lambda event: jump(event.client, STEPS[steps.value]))
 
 
 def set_first_view(server: "viser.ViserServer", contents: Contents) -> None:

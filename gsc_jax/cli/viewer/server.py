@@ -157,8 +157,7 @@ def viewer_page(client: str, contents: Contents) -> str:
 
 def _address(pose: Pose, contents: Contents) -> str:
     """Query string with which viser starts at a camera."""
-    vectors = {"Position": pose.position, "LookAt": pose.look_at, "Up": pose.up}
-    scalars = {"Fov": pose.fov, "Near": contents.near, "Far": contents.far}
-    values = {key: ",".join(map(str, np.asarray(value).tolist())) for key, value in vectors.items()}
-    values |= {key: str(float(value)) for key, value in scalars.items()}
-    return urlencode({f"initialCamera{key}": value for key, value in values.items()}, safe=",")
+    facts = {"Position": pose.position, "LookAt": pose.look_at, "Up": pose.up}
+    facts |= {"Fov": pose.fov, "Near": contents.near, "Far": contents.far}
+    numbers = {f"initialCamera{key}": np.ravel(fact).tolist() for key, fact in facts.items()}
+    return urlencode({key: ",".join(map(str, row)) for key, row in numbers.items()}, safe=",")

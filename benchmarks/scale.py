@@ -11,7 +11,6 @@ process and is tried again.
 
 import dataclasses
 import json
-import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -176,7 +175,8 @@ def compared(values: dict) -> str:
     """Table: a loop over `gsc-jax locate`, scans that write the same folders, and rows alone."""
     rows = [["loop over `gsc-jax locate`", values["loop"], None]]
     for name, scan in values.items():
-        kind, workers = re.fullmatch(r"([a-z]+)(\d*)", name).groups()
+        kind = name.rstrip("0123456789")
+        workers = name.removeprefix(kind)
         if kind in KINDS:
             plural = "s" * (workers != "1")
             rows.append([f"scan, {KINDS[kind]}, {workers} worker{plural}", scan["seconds"], scan])

@@ -40,7 +40,7 @@ def test_the_folder_holds_the_documented_files_and_no_others(found):
     out, _ = found
     expected = set(FILES)
     for name in NAMES:
-        expected |= {f"{kind}/{name}.png" for kind in ("masks", "detector")}
+        expected |= {f"{kind}/{name}.png" for kind in ("masks", "scores", "detector")}
         expected |= {layer_path("", kind, name).as_posix() for kind in ("render", "overlay")}
     files = contents(out).keys()
     assert files == expected

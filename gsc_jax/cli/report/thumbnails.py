@@ -68,13 +68,14 @@ def url(path: Path, folder: Path) -> str:
 def data_uri(path: Path, side: int) -> str:
     """Shrink a .jpg, or a grey .png, to a data URI; `side` is in pixels."""
     from PIL import Image
-    from skimage.util import img_as_ubyte
 
     lossy = path.suffix == ".jpg"
     with Image.open(path) as image:
         image.draft("RGB", (side, side))
-        grey = img_as_ubyte(np.asarray(image)) if not lossy else None
-        small = image.convert("RGB") if grey is None else Image.fromarray(grey)
+        if image.mode.startswith("I"):  # 16 bits, which Pillow clips
+            small = Image.fromarray((np.asarray(image) >> 8).astype(np.uint8))
+        else:
+            small = image.convert("RGB" if lossy else "L")
     small.thumbnail((side, side), Image.Resampling.BOX)
     file = io.BytesIO()
     if lossy:

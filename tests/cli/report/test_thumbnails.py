@@ -8,6 +8,7 @@ from urllib.parse import unquote
 import hypothesis.strategies as st
 import imageio.v3 as iio
 import numpy as np
+import pytest
 from hypothesis import given
 from scipy.ndimage import gaussian_filter
 from skimage.data import astronaut
@@ -38,8 +39,9 @@ def test_two_hundred_views_fit_into_an_email(tmp_path: Path):
     assert size["masks"] < size["render"] / 2
 
 
-def test_thumbnail_of_16_bits_keeps_the_levels(tmp_path: Path):
-    levels = np.repeat(np.linspace(0, 1, 8), 40)
+@pytest.mark.parametrize("largest", [1, 0.003, 0])
+def test_thumbnail_of_16_bits_keeps_the_levels(tmp_path: Path, largest: float):
+    levels = np.repeat(np.linspace(0, largest, 8), 40)
     write_probability(tmp_path / "scores.png", np.tile(levels, (90, 1)))
     uri = data_uri(tmp_path / "scores.png", 320)
     found = iio.imread(base64.b64decode(uri.partition(",")[2]))

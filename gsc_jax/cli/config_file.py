@@ -68,7 +68,12 @@ def read_config_file(path: str | Path) -> ConfigFile:
     """
     path = Path(path)
     path = result_file(path, "result.json") if path.is_dir() else path
-    content = _read(existing_file(path, expected="a configuration (.toml or .json)"))
+    existing_file(path, expected="a configuration (.toml or .json)")
+    if path.suffix.lower() not in PARSERS:
+        raise InputError(f"{path}: expected a .toml or .json, or a result.json of `locate`")
+    content = read_table(path, remedy="correct the file")
+    if not isinstance(content, dict):
+        raise InputError(f"{path}: expected the tables command and config")
     report = {"versions", "outputs"} <= set(content)
     tables = {name: content.get(name, {}) for name in ("command", "config")} if report else content
     tables = _validated(_File, tables, str(path), hint="options go below a line [command]")
@@ -92,15 +97,6 @@ def read_config_file(path: str | Path) -> ConfigFile:
     except ValueError as error:
         raise InputError(f"{path}: config: {error}") from error
     return ConfigFile(method=method, command=command, estimator=estimator)
-
-
-def _read(path: Path) -> Table:
-    if path.suffix.lower() not in PARSERS:
-        raise InputError(f"{path}: expected a .toml or .json, or a result.json of `locate`")
-    content = read_table(path, remedy="correct the file")
-    if not isinstance(content, dict):
-        raise InputError(f"{path}: expected the tables command and config")
-    return content
 
 
 class _File(pydantic.BaseModel):

@@ -40,8 +40,8 @@ class SceneOptions:
     """Options of all commands that read a scene; subclasses inherit the help texts.
 
     Attributes:
-        scene: Scene: a 3DGS .ply of any exporter, .splat or .glb; with the extra `formats` also
-            compressed.ply, spz and sog.
+        scene: Scene: a 3DGS .ply of any exporter, .splat, .ksplat or .glb; with the extra
+            `formats` also compressed.ply, spz and sog.
         out: Folder for the results, created if missing.
         cameras: cameras.json, transforms.json, a COLMAP model, or a folder that holds one of
             them. Without it, cameras are placed on an orbit around the scene.

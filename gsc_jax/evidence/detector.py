@@ -81,8 +81,7 @@ def _as_map(probability: Any, camera: Camera) -> np.ndarray:
             f"The detector's output for view {camera.name!r} is a {type(probability).__name__}, "
             "expected an array of probabilities, (height, width)."
         ) from error
-    if output.ndim > 2:
-        output = output.reshape([side for side in output.shape if side != 1])
+    output = output.squeeze() if output.ndim > 2 else output
     least = min(LEAST_SIDE, camera.height, camera.width)
     if output.ndim != 2 or min(output.shape) < least:
         raise InputError(

@@ -55,7 +55,10 @@ class ArrayStore:
     def get(self, kind: str, name: str) -> np.ndarray:
         """An array, memory-mapped if it lies in a file; raises OSError if it is missing."""
         key = _key(kind, name)
-        return self._in_memory[key] if key in self._in_memory else self._read(key)
+        if key in self._in_memory:
+            return self._in_memory[key]
+        assert self._folder is not None, f"nothing was stored as {key}"
+        return np.load(self._folder / f"{key}.npy", mmap_mode="r", allow_pickle=False)
 
     def put(self, kind: str, name: str, array: np.ndarray) -> None:
         """Add an array, which must not change afterwards; raises InputError if a disk is full."""
@@ -94,10 +97,6 @@ class ArrayStore:
                 weakref.finalize(self, shutil.rmtree, self._folder, ignore_errors=True)
             self._folder.mkdir(parents=True, exist_ok=True)
             return self._folder
-
-    def _read(self, key: str) -> np.ndarray:
-        assert self._folder is not None, f"nothing was stored as {key}"
-        return np.load(self._folder / f"{key}.npy", mmap_mode="r", allow_pickle=False)
 
 
 def _intact(path: Path) -> bool:

@@ -109,7 +109,6 @@ def from_arrays(stored: Mapping[str, np.ndarray]) -> Classifier:
         tuple((stored[f"weights{i}.{k}"], stored[f"bias{i}.{k}"]) for k in range(depth))
         for i in range(count)
     )
-    others = {name: stored[name].tolist() for name in ("calibration", "scene", "names")}
-    others = {name: tuple(values) for name, values in others.items()}
+    others = {name: tuple(stored[name].tolist()) for name in ("calibration", "scene", "names")}
     base, weight = float(stored["base"]), float(stored["novelty"])
     return Classifier(networks=networks, base=base, novelty=weight, **others)

@@ -10,6 +10,7 @@ import functools
 from collections.abc import Callable
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from gsc_jax.forensics.traces import Trace, make_trace, region_scores
 from gsc_jax.scene import Gaussians
@@ -107,8 +108,6 @@ def nearest_duplicates(gaussians: Gaussians) -> tuple[np.ndarray, np.ndarray]:
 
 def _nearest(described: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
     """Distances to the nearest other of the points (N, D) within a radius, and their rows."""
-    from scipy.spatial import KDTree
-
     # A KDTree degenerates where many points are equal: it gets one of them.
     hashes = row_hashes(described)
     order = np.argsort(hashes, kind="stable")

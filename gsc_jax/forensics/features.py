@@ -121,24 +121,16 @@ def _with_surroundings(own: np.ndarray, around: Neighbourhoods) -> ArrayStore:
     store = ArrayStore(max_bytes=MAX_BYTES_IN_MEMORY)
 
     def put(start: int) -> None:
-        statistics = _statistics(own[:, start : start + COLUMNS_PER_PASS], around)
-        for label, statistic in zip(SURROUNDINGS, statistics, strict=True):
-            store.put(label, str(start), statistic)
+        key, values = str(start), own[:, start : start + COLUMNS_PER_PASS]
+        store.put("own", key, values)
+        store.put("mean", key, first := around.mean @ values)
+        store.put("spread", key, around.spread(values, first))
+        store.put("second", key, second := around.mean @ first)
+        store.put("fourth", key, around.mean @ (around.mean @ second))
 
     with ThreadPoolExecutor(workers()) as pool:
         list(pool.map(put, range(0, own.shape[1], COLUMNS_PER_PASS)))
     return store
-
-
-def _statistics(values: np.ndarray, around: Neighbourhoods) -> Iterator[np.ndarray]:
-    """Yield the values (N, D), then their statistics in the order of `SURROUNDINGS`."""
-    yield values
-    first = around.mean @ values
-    yield first
-    yield around.spread(values, first)
-    second = around.mean @ first
-    yield second
-    yield around.mean @ (around.mean @ second)
 
 
 def _groups(gaussians: Gaussians, around: Neighbourhoods) -> dict[str, np.ndarray]:

@@ -10,6 +10,8 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
+from scipy.spatial import KDTree
+from scipy.spatial.distance import cdist
 
 from gsc_jax.forensics.features import NEIGHBOURS, Features, in_group
 from gsc_jax.scene.neighbours import neighbourhoods, parts
@@ -58,7 +60,9 @@ def novelty(features: Features, means: np.ndarray) -> np.ndarray:
     first, square = (around.mean @ values for values in np.concatenate(moments, axis=2))
     spread = np.sqrt(np.maximum(square - first**2, 0))
     names = features.names[: first.shape[1]]
-    apart = functools.partial(_novelty, centers=centers, radius=_surroundings(centers))
+    some = centers[:: -(-len(centers) // SAMPLE)]
+    radius = np.quantile(cdist(centers, some), NEARBY_SHARE, axis=1)[:, None]
+    apart = functools.partial(_novelty, centers=centers, radius=radius)
     with ThreadPoolExecutor(workers()) as pool:
         compared = list(pool.map(apart, _statistics(first, spread, names)))
     result[rows] = np.repeat(around.mean @ np.mean(compared, axis=0), sizes)
@@ -73,21 +77,11 @@ def _statistics(mean: np.ndarray, spread: np.ndarray, names: Sequence[str]) -> I
         yield (values - values.mean(axis=0)) / (values.std(axis=0) + 1e-3)
 
 
-def _surroundings(centers: np.ndarray) -> np.ndarray:
-    """Radius around places (P, 3) that has about `NEARBY_SHARE` of all places, shape (P, 1)."""
-    from scipy.spatial.distance import cdist
-
-    some = centers[:: -(-len(centers) // SAMPLE)]
-    return np.quantile(cdist(centers, some), NEARBY_SHARE, axis=1)[:, None]
-
-
 def _novelty(statistics: np.ndarray, centers: np.ndarray, radius: np.ndarray) -> np.ndarray:
-    """Novelty of places by their statistics (P, D), centres (P, 3) and surroundings, shape (P,).
+    """Novelty of places by their statistics (P, D), centres (P, 3) and radii (P, 1), shape (P,).
 
     The distance to the most similar place elsewhere, and how many of the `CANDIDATES` are nearby.
     """
-    from scipy.spatial import KDTree
-
     described = (statistics @ principal_axes(statistics, COMPONENTS)).astype(np.float32)
     count = min(CANDIDATES, len(centers))
     distances, candidates = KDTree(described).query(described, k=count)

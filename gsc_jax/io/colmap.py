@@ -7,9 +7,9 @@ in a file and aborts the process on some of the damaged ones. Points are not rea
 import struct
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from gsc_jax.io.files import check_allocation, existing_file
 from gsc_jax.io.json_cameras import pinhole
@@ -36,19 +36,10 @@ BYTES_PER_BYTE = {True: 2, False: 8}
 """Memory per byte of a binary file, and of a text: lines, and the images of the shortest lines."""
 
 
-class _Intrinsics(NamedTuple):
-    model: str
-    width: int
-    height: int
-    params: tuple[float, ...]
-
-
-class _Image(NamedTuple):
-    """World to camera as a quaternion wxyz and a translation, in `pose`."""
-
-    name: str
-    camera_id: int
-    pose: tuple[float, ...]
+_Intrinsics = tuple[str, tuple[int, int], tuple[float, ...]]
+"""Model, width and height, and parameters."""
+_Image = tuple[str, int, tuple[float, ...]]
+"""Name, id of the camera, and world to camera as a quaternion wxyz and a translation."""
 
 
 def is_colmap(folder: Path) -> bool:
@@ -63,16 +54,17 @@ def read_colmap(folder: Path, *, max_bytes: int | None = None) -> list[Camera]:
     memory, or a distorted camera, raises InputError.
     """
     binary = all((folder / f"{kind}.bin").exists() for kind in ("cameras", "images"))
-    read_cameras, read_images = _BINARY if binary else _TEXT
+    readers = (_binary_cameras, _binary_images) if binary else (_text_cameras, _text_images)
     files = [folder / f"{kind}.{'bin' if binary else 'txt'}" for kind in ("cameras", "images")]
     size = sum(existing_file(file, expected=EXPECTED).stat().st_size for file in files)
     check_allocation(folder, BYTES_PER_BYTE[binary] * size, max_bytes)
     remedy = f", expected {EXPECTED}; export it again"
     with reported(f"{files[0]}: missing or damaged", remedy):
-        intrinsics = dict(read_cameras(files[0]))
+        intrinsics = dict(readers[0](files[0]))
     with reported(f"{files[1]}: missing or damaged", remedy):
-        images = sorted(read_images(files[1]))
-    return [_camera(image, intrinsics.get(image.camera_id), folder) for image in images]
+        images = sorted(readers[1](files[1]))
+    none = "", (0, 0), ()
+    return [_camera(image, intrinsics.get(image[1], none), folder) for image in images]
 
 
 def _binary_cameras(path: Path) -> Iterator[tuple[int, _Intrinsics]]:
@@ -84,7 +76,7 @@ def _binary_cameras(path: Path) -> Iterator[tuple[int, _Intrinsics]]:
             raise ValueError(f"camera model number {model}")
         name = list(MODELS)[model]
         layout = f"<{MODELS[name]}d"
-        yield camera_id, _Intrinsics(name, width, height, struct.unpack_from(layout, data, at + 24))
+        yield camera_id, (name, (width, height), struct.unpack_from(layout, data, at + 24))
         at += 24 + struct.calcsize(layout)
 
 
@@ -95,7 +87,7 @@ def _binary_images(path: Path) -> Iterator[_Image]:
         _, *pose, camera_id = struct.unpack_from("<i7di", data, at)
         end = data.index(b"\0", at + 64)
         (points,) = struct.unpack_from("<Q", data, end + 1)
-        yield _Image(data[at + 64 : end].decode(), camera_id, tuple(pose))
+        yield data[at + 64 : end].decode(), camera_id, tuple(pose)
         at = end + 9 + 24 * points
     if at > len(data):
         raise ValueError("cut short")
@@ -107,7 +99,7 @@ def _text_cameras(path: Path) -> Iterator[tuple[int, _Intrinsics]]:
         values = tuple(map(float, params))
         if len(values) != MODELS.get(model, len(values)):
             raise ValueError(f"{model} camera with {len(values)} parameters")
-        yield int(camera_id), _Intrinsics(model, int(width), int(height), values)
+        yield int(camera_id), (model, (int(width), int(height)), values)
 
 
 def _text_images(path: Path) -> Iterator[_Image]:
@@ -115,7 +107,7 @@ def _text_images(path: Path) -> Iterator[_Image]:
         _, *pose, camera_id, name = line.strip().split(maxsplit=9)
         if len(pose) != 7:
             raise ValueError(f"image {name} has {len(pose)} numbers of a pose")
-        yield _Image(name, int(camera_id), tuple(map(float, pose)))
+        yield name, int(camera_id), tuple(map(float, pose))
 
 
 def _lines(path: Path, *, skip: int = 0) -> Iterator[str]:
@@ -128,35 +120,25 @@ def _lines(path: Path, *, skip: int = 0) -> Iterator[str]:
                     next(file, "")
 
 
-_BINARY = _binary_cameras, _binary_images
-_TEXT = _text_cameras, _text_images
-
-
-def _camera(image: _Image, intrinsics: _Intrinsics | None, folder: Path) -> Camera:
-    where = f"{folder}: image {shown(image.name)}"
-    if intrinsics is None or intrinsics.model not in ("PINHOLE", "SIMPLE_PINHOLE"):
-        found = f"a {shown(intrinsics.model)[1:-1]} camera" if intrinsics else "no camera"
+def _camera(image: _Image, intrinsics: _Intrinsics, folder: Path) -> Camera:
+    (name, _, pose), (model, size, params) = image, intrinsics
+    where = f"{folder}: image {shown(name)}"
+    if model not in ("PINHOLE", "SIMPLE_PINHOLE"):
+        found = f"a {shown(model)[1:-1]} camera" if model else "no camera"
         raise InputError(
             f"{where} has {found}, expected PINHOLE or SIMPLE_PINHOLE; "
             "undistort images and model first (colmap image_undistorter)"
         )
-    *focal, cx, cy = intrinsics.params
+    *focal, cx, cy = params
     try:
-        return pinhole(
-            image.name,
-            _camera_to_world(np.array(image.pose)),
-            focal=(focal[0], focal[-1]),
-            center=(cx, cy),
-            size=(intrinsics.width, intrinsics.height),
-        )
+        world = _camera_to_world(np.array(pose))
+        return pinhole(name, world, focal=(focal[0], focal[-1]), center=(cx, cy), size=size)
     except ValueError as error:
         raise InputError(f"{where}: {error}") from error
 
 
 def _camera_to_world(pose: np.ndarray) -> np.ndarray:
     """The inverse of a pose, shape (3, 4)."""
-    from scipy.spatial.transform import Rotation
-
     if not pose[:4].any():
         raise ValueError("the quaternion of its pose is 0, expected a rotation; export it again")
     with np.errstate(all="ignore"):  # `pinhole` refuses what is not finite

@@ -19,14 +19,14 @@ import numpy as np
 from gsc_jax.io.files import check_allocation
 from gsc_jax.io.tables import BYTES_PER_CHARACTER
 from gsc_jax.io.validation import reported, shown
-from gsc_jax.io.web_formats import read_glb, read_splat
+from gsc_jax.io.web_formats import read_glb, read_ksplat, read_splat
 from gsc_jax.scene import Gaussians, InputError
 
 if TYPE_CHECKING:
     from plyfile import PlyData
 
-READERS = {".splat": read_splat, ".glb": read_glb}
-SUFFIXES = (".spz", ".sog", ".ksplat", *READERS)
+READERS = {".splat": read_splat, ".ksplat": read_ksplat, ".glb": read_glb}
+SUFFIXES = (".spz", ".sog", *READERS)
 """Suffixes of compressed scenes that are not PLY files."""
 CHUNK_ROWS = 256
 CHUNK_BYTES, VERTEX_BYTES, SH_BYTES = 18 * 4, 4 * 4, (9, 24, 45)
@@ -53,8 +53,6 @@ def read_compressed(path: Path, max_bytes: int | None = None) -> Gaussians:
     more, the file is damaged or of an unknown version, or gsply is needed and not installed.
     """
     kind = path.suffix.lower()
-    if kind == ".ksplat":
-        raise InputError(f"{path}: .ksplat files are not supported; {_conversion(path)}")
     check_allocation(path, BYTES_PER_BYTE * path.stat().st_size, max_bytes)
     gsply = None if kind in READERS else _gsply(path)
     with reported(f"{path}: damaged or unknown", f"; {_conversion(path)}"):

@@ -81,7 +81,15 @@ def memory_limit(gib: float | None = None) -> int:
     """
     if gib is not None and not (math.isfinite(gib) and gib > 0):
         raise InputError(f"--memory {gib:g}: expected a positive number of GiB")
-    return _machine_bytes() // 2 if gib is None else int(gib * GIB)
+    if gib is not None:
+        return int(gib * GIB)
+    try:
+        machine = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, OSError, ValueError):  # not on Windows
+        machine = UNKNOWN_MEMORY_BYTES
+    with contextlib.suppress(OSError, ValueError):  # no container, or the limit "max"
+        machine = min(machine, int(CGROUP_LIMIT.read_text("ascii")))
+    return machine // 2
 
 
 def check_allocation(path: str | Path, needed: int, limit: int | None) -> None:
@@ -92,15 +100,3 @@ def check_allocation(path: str | Path, needed: int, limit: int | None) -> None:
             f"{path}: takes {needed / GIB:.3g} GiB of memory to read, expected at most "
             f"{limit / GIB:.3g} GiB; if the file is not damaged, allow more with --memory"
         )
-
-
-def _machine_bytes() -> int:
-    """Memory of the machine, or of the container in which the process runs."""
-    try:
-        machine = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    except (AttributeError, OSError, ValueError):  # not on Windows
-        machine = UNKNOWN_MEMORY_BYTES
-    try:
-        return min(machine, int(CGROUP_LIMIT.read_text("ascii")))
-    except (OSError, ValueError):  # no container, or the limit "max"
-        return machine

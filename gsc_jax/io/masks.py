@@ -77,7 +77,14 @@ def read_probability(
 def read_grey(path: str | Path, *, max_bytes: int | None = None) -> np.ndarray:
     """Read the stored grey levels of an image: bool, uint8, uint16, or floats in [0, 1], (h, w)."""
     path = existing_file(path, expected="a mask image")
-    pixels = _read_pixels(path, max_bytes)
+    expected = ", expected a grey PNG; it may be cut short or of another format: write it again"
+    with reported(f"{path}: cannot be read as an image", expected), open_image(path) as image:
+        check_allocation(path, BYTES_PER_PIXEL * image.width * image.height, max_bytes)
+        with contextlib.suppress(EOFError):
+            image.seek(1)
+            raise InputError(f"{path}: holds several pages or frames, expected one; save one")
+        image.seek(0)
+        pixels = _decoded(image)
     if pixels.dtype.name not in ("bool", "uint8", "uint16") and pixels.dtype.kind != "f":
         raise InputError(f"{path}: holds {pixels.dtype} levels, expected 1, 8 or 16 bits or float")
     if pixels.dtype.kind == "f" and not ((pixels >= 0) & (pixels <= 1)).all():
@@ -133,18 +140,6 @@ def image_path(folder: str | Path, name: str) -> Path:
     return Path(folder) / PurePosixPath(windows.as_posix() + ".png")
 
 
-def _read_pixels(path: Path, max_bytes: int | None) -> np.ndarray:
-    """Pixels of an image file: grey levels or colours, with alpha as the last channel."""
-    expected = ", expected a grey PNG; it may be cut short or of another format: write it again"
-    with reported(f"{path}: cannot be read as an image", expected), open_image(path) as image:
-        check_allocation(path, BYTES_PER_PIXEL * image.width * image.height, max_bytes)
-        with contextlib.suppress(EOFError):
-            image.seek(1)
-            raise InputError(f"{path}: holds several pages or frames, expected one; save one")
-        image.seek(0)
-        return _decoded(image)
-
-
 @contextlib.contextmanager
 def open_image(path: Path) -> Iterator["PIL.Image.Image"]:
     """Open an image of any size; `check_allocation` replaces Pillow's bound on the pixels."""
@@ -161,7 +156,7 @@ def open_image(path: Path) -> Iterator["PIL.Image.Image"]:
 
 
 def _decoded(image: "PIL.Image.Image") -> np.ndarray:
-    """Pixels with palettes, inks and inverted levels decoded, and a transparent colour black."""
+    """Pixels, alpha last, with palettes, inks and inverted levels decoded, and no colour key."""
     tiles = getattr(image, "tile", []) if image.format == "PNG" else []
     rawmode = tiles[0].args if tiles else ""
     transparent = image.info.get("transparency")

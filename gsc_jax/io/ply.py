@@ -91,7 +91,7 @@ def read_ply(path: str | Path, *, max_bytes: int | None = None) -> PlyScene:
     is slow: more than a minute per million Gaussians.
 
     Args:
-        path: A .ply, .compressed.ply, .spz, .sog, .splat or .glb file.
+        path: A .ply, .compressed.ply, .spz, .sog, .splat, .ksplat or .glb file.
         max_bytes: Memory that may be allocated; see `memory_limit` for the default.
 
     Returns:
@@ -114,7 +114,7 @@ def load_ply(path: str | Path, *, max_bytes: int | None = None) -> Gaussians:
     """Read the Gaussians of a scene and warn in one line if rows were left out.
 
     Args:
-        path: A .ply, .compressed.ply, .spz, .sog, .splat or .glb file.
+        path: A .ply, .compressed.ply, .spz, .sog, .splat, .ksplat or .glb file.
         max_bytes: Memory that may be allocated; see `memory_limit` for the default.
 
     Returns:

@@ -1,8 +1,9 @@
-"""Scenes of web viewers: `.splat` (of antimatter15) and `.glb` (glTF, KHR_gaussian_splatting).
+"""Scenes of web viewers: `.splat` (of antimatter15), `.ksplat` (GaussianSplats3D), `.glb` (glTF).
 
 They hold scales and opacities as they are, not their logarithms or log odds. A `.splat` has 32
-bytes a Gaussian and no view-dependent colour. In a `.glb`, rotations are xyzw, and up is +y. The
-axes stay as they are in the file.
+bytes a Gaussian and no view-dependent colour. A `.ksplat` has sections of rows of one compression
+level; those of level 1 and 2 hold positions relative to the centre of a bucket of rows. In a `.glb`
+(KHR_gaussian_splatting), rotations are xyzw, and up is +y. The axes stay as they are in the file.
 """
 
 import json
@@ -20,6 +21,16 @@ from gsc_jax.scene import Gaussians
 
 LEVELS = 255
 SPLAT = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)])
+KSPLAT_HEADER_BYTES, KSPLAT_SECTION_BYTES = 4096, 1024
+KSPLAT_HEADER = {"major": ("u1", 0), "sections": ("<u4", 4), "level": ("<u2", 20)}
+KSPLAT_HEADER |= {"low": ("<f4", 36), "high": ("<f4", 40)}
+KSPLAT_SECTION = {"rows": ("<u4", 4), "bucket_rows": ("<u4", 8), "buckets": ("<u4", 12)}
+KSPLAT_SECTION |= {"block": ("<f4", 16), "range": ("<u4", 24), "full": ("<u4", 32)}
+KSPLAT_SECTION |= {"partial": ("<u4", 36), "degree": ("<u2", 40)}
+"""Fields of the headers that are read, with their type and place."""
+KSPLAT_TYPES = (("<f4", "<f4", "<f4"), ("<u2", "<f2", "<f2"), ("<u2", "<f2", "u1"))
+"""By compression level: types of positions, of scales and rotations, and of harmonics."""
+DEFAULT_RANGE, DEFAULT_BOUND = 32767, 1.5
 GLTF = "KHR_gaussian_splatting"
 GLTF_TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5126: "<f4"}
 PLACES = {"matrix", "translation", "rotation", "scale"}
@@ -31,6 +42,65 @@ def read_splat(path: Path, _: int | None = None) -> Gaussians:
     quats, shares = (rows["quat"] - np.float32(128)) / 128, rows["rgba"] / np.float32(LEVELS)
     sh = (shares[:, None, :3] - 0.5) / Y0
     return _gaussians(rows["mean"], rows["scale"], quats, shares[:, 3:], sh)
+
+
+def read_ksplat(path: Path, _: int | None = None) -> Gaussians:
+    """Read all rows of a .ksplat file, NumPy float32; ValueError if it is damaged or unknown."""
+    data = path.read_bytes()
+    header = _fields(data, KSPLAT_HEADER, 0)
+    if header["major"] or header["level"] >= len(KSPLAT_TYPES):
+        raise ValueError(f"version {header['major']}, compression level {header['level']}")
+    starts = range(KSPLAT_HEADER_BYTES, len(data), KSPLAT_SECTION_BYTES)[: header["sections"]]
+    at, parts = KSPLAT_HEADER_BYTES + KSPLAT_SECTION_BYTES * header["sections"], []
+    for start in starts:
+        columns, at = _ksplat_section(data, header, _fields(data, KSPLAT_SECTION, start), at)
+        parts.append(columns)
+    bands = max(part[-1].shape[1] for part in parts)
+    for part in parts:
+        part[-1] = np.pad(part[-1], ((0, 0), (0, bands - part[-1].shape[1]), (0, 0)))
+    return _gaussians(*map(np.concatenate, zip(*parts, strict=True)))
+
+
+def _fields(data: bytes, fields: Mapping[str, tuple[str, int]], start: int) -> dict[str, Any]:
+    """Numbers of a header that begins at `start`."""
+    return {
+        name: np.frombuffer(data, kind, 1, start + place)[0].item()
+        for name, (kind, place) in fields.items()
+    }
+
+
+def _ksplat_section(
+    data: bytes, header: dict[str, Any], section: dict[str, Any], at: int
+) -> tuple[list[np.ndarray], int]:
+    """Columns of the rows of a section that begins at `at`, and where the next one begins."""
+    place, number, harmonic = KSPLAT_TYPES[header["level"]]
+    layout = [("mean", place, 3), ("scale", number, 3), ("quat", number, 4), ("rgba", "u1", 4)]
+    count, degree, buckets = section["rows"], section["degree"], section["buckets"]
+    partial = np.frombuffer(data, "<u4", section["partial"], at)
+    centers = np.frombuffer(data, "<f4", 3 * buckets, at + partial.nbytes).reshape(-1, 3)
+    at += partial.nbytes + centers.nbytes
+    if degree > 2 or section["full"] > buckets:
+        raise ValueError(f"degree {degree}, {section['full']} of {buckets} buckets full")
+    layout.append(("rest", harmonic, (3 * (degree + 1) ** 2 - 3,)))
+    rows = np.frombuffer(data, layout, count, at)
+    names = ("mean", "scale", "quat", "rgba", "rest")
+    means, scales, quats, shares, values = (rows[name].astype(np.float32) for name in names)
+    shares /= LEVELS
+    if header["level"]:
+        lengths = np.array([*[section["bucket_rows"]] * section["full"], *partial], int)
+        if lengths.sum() != count:
+            raise ValueError(f"buckets of {lengths.sum()} rows, expected {count}")
+        steps = section["range"] or DEFAULT_RANGE
+        offsets = (means - steps) * (section["block"] / 2 / steps)
+        means = offsets + centers[np.repeat(np.arange(buckets), lengths)]
+    if harmonic == "u1":
+        low, high = header["low"] or -DEFAULT_BOUND, header["high"] or DEFAULT_BOUND
+        values = low + values / LEVELS * (high - low)
+    sh = [(shares[:, None, :3] - 0.5) / Y0]
+    for band in range(1, degree + 1):  # of a band, first all numbers of red
+        part = values[:, 3 * band**2 - 3 : 3 * (band + 1) ** 2 - 3]
+        sh.append(part.reshape(count, 3, 2 * band + 1).transpose(0, 2, 1))
+    return [means, scales, quats, shares[:, 3:], np.concatenate(sh, axis=1)], at + rows.nbytes
 
 
 def read_glb(path: Path, max_bytes: int | None = None) -> Gaussians:

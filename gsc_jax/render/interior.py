@@ -51,17 +51,13 @@ def moved_indoors(
     room = np.median(free, axis=1)
     chosen = int(np.argmax(room >= 0.8 * room.max()))  # not above what has no ceiling
     reach = np.maximum(REACH * free[chosen], 0.05 * radius)
-    eyes = [heights[chosen] + far * ray for ray, far in zip(away, reach, strict=True)]
-    return [
-        _moved(camera, eye, center, up) if behind else camera
-        for camera, eye, behind in zip(cameras, eyes, hidden, strict=True)
-    ]
-
-
-def _moved(camera: Camera, eye: np.ndarray, center: np.ndarray, up: np.ndarray) -> Camera:
-    focal = 0.5 * camera.width / np.tan(np.radians(FOV_DEGREES / 2))
-    K = intrinsics(focal, camera.width, camera.height)
-    return dataclasses.replace(camera, viewmat=look_at(eye, center, up), K=K)
+    moved = list(cameras)
+    for i in np.flatnonzero(hidden):
+        viewmat = look_at(heights[chosen] + reach[i] * away[i], center, up)
+        focal = 0.5 * moved[i].width / np.tan(np.radians(FOV_DEGREES / 2))
+        K = intrinsics(focal, moved[i].width, moved[i].height)
+        moved[i] = dataclasses.replace(moved[i], viewmat=viewmat, K=K)
+    return moved
 
 
 def surface_finder(gaussians: Gaussians) -> Callable[[np.ndarray, np.ndarray], float]:

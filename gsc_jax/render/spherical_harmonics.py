@@ -94,17 +94,12 @@ def rotate(sh: Array, rotation: Array) -> jax.Array:
     basis in sufficiently many directions gives the mixing matrix exactly.
     """
     degree = round(sh.shape[1] ** 0.5) - 1
-    directions = _sphere_points(64)
+    points = np.arange(64)  # evenly over the sphere, on a golden spiral
+    height, turn = 1 - (2 * points + 1) / len(points), np.pi * (3 - np.sqrt(5)) * points
+    ring = np.sqrt(1 - height**2)
+    directions = np.stack([ring * np.cos(turn), ring * np.sin(turn), height], axis=-1)
     old = basis(jnp.asarray(directions @ np.asarray(rotation), jnp.float32), degree)
     new = basis(jnp.asarray(directions, jnp.float32), degree)
     mixing = np.linalg.lstsq(np.asarray(new, np.float64), np.asarray(old, np.float64))[0]
     rotated = np.einsum("kl,nlc->nkc", mixing, np.asarray(sh, np.float64))
     return jnp.asarray(rotated, jnp.float32)
-
-
-def _sphere_points(count: int) -> np.ndarray:
-    """Unit vectors evenly over the sphere, on a golden spiral, shape (count, 3)."""
-    height = 1 - (2 * np.arange(count) + 1) / count
-    turn = np.pi * (3 - np.sqrt(5)) * np.arange(count)
-    ring = np.sqrt(1 - height**2)
-    return np.stack([ring * np.cos(turn), ring * np.sin(turn), height], axis=-1)

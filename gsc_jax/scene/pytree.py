@@ -2,7 +2,7 @@
 
 import dataclasses
 import reprlib
-from typing import TYPE_CHECKING, Any, TypeVar, dataclass_transform
+from typing import Any, TypeVar, dataclass_transform
 
 import chex
 
@@ -27,15 +27,9 @@ def short_repr(self: Any) -> str:
     return f"{type(self).__name__}({fields})"
 
 
-if TYPE_CHECKING:
-    # Type checkers do not understand chex's own annotations.
-    @dataclass_transform(frozen_default=True, kw_only_default=True)
-    def pytree(cls: type[T]) -> type[T]:
-        """Declare an immutable dataclass whose fields are the leaves of a pytree."""
-        ...
-else:
-
-    def pytree(cls: type[T]) -> type[T]:
-        """Declare an immutable dataclass whose fields are the leaves of a pytree."""
-        cls.__repr__ = short_repr
-        return chex.dataclass(cls, frozen=True, kw_only=True, mappable_dataclass=False)
+@dataclass_transform(frozen_default=True, kw_only_default=True)
+def pytree(cls: type[T]) -> type[T]:
+    """Declare an immutable dataclass whose fields are the leaves of a pytree."""
+    cls.__repr__ = short_repr
+    declare: Any = chex.dataclass  # type checkers do not understand its own annotations
+    return declare(cls, frozen=True, kw_only=True, mappable_dataclass=False)

@@ -26,7 +26,7 @@ from ply_files import columns_of, write_columns
 from plyfile import PlyData, PlyElement
 from results_folder import write_results
 from strategies import random_scene
-from web_files import glb_tree, write_chunks, write_splat
+from web_files import glb_tree, write_chunks, write_ksplat, write_splat
 
 from gsc_jax.cli.config_file import read_config_file
 from gsc_jax.cli.report.wording import headline, labels_sentence
@@ -201,6 +201,23 @@ def _check_sog(path: Path) -> None:
 def _splats() -> list[bytes]:
     with tempfile.TemporaryDirectory() as name:
         return [write_splat(Path(name) / "s.splat", random_scene(COUNT)).read_bytes()]
+
+
+@functools.cache
+def _ksplats() -> list[bytes]:
+    made = random_scene(40, degree=2)
+    with tempfile.TemporaryDirectory() as name:
+        path = Path(name) / "s.ksplat"
+        return [write_ksplat(path, made, level=level).read_bytes() for level in range(3)]
+
+
+def _damaged_ksplat(rng: Random, data: bytes) -> bytes:
+    """Damage the fields of the headers, nearly all of whose bytes are unused, or any bytes."""
+    if rng.random() < 0.3:
+        return damaged_bytes(rng, data)
+    start = rng.choice((0, 4096, 5120))
+    fields = damaged_bytes(rng, data[start : start + 44])
+    return data[:start] + fields + data[start + 44 :]
 
 
 def _make_glb(rng: Random | None, folder: Path) -> Path:
@@ -516,6 +533,7 @@ _FORMATS = (
     Format(name="spz", make=_make_spz, read=_check_scene),
     Format(name="sog", make=_make_sog, read=_check_sog),
     _file("splat", "s.splat", _splats, damaged_bytes, _check_scene),
+    _file("ksplat", "s.ksplat", _ksplats, _damaged_ksplat, _check_scene),
     Format(name="glb", make=_make_glb, read=_check_scene),
     _file(
         "cameras",

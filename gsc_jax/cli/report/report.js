@@ -63,11 +63,7 @@
   function pressed(event) {
     const target = event.target;
     if (event.ctrlKey || event.altKey || event.metaKey || target.localName === "select") return;
-    const radio = radios[Number(event.key) - 1];
-    if (radio) {
-      radio.checked = true;
-      draw();
-    }
+    radios[Number(event.key) - 1]?.click();
     const by = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
     if (!by || target.localName === "input") return; // arrows also select a radio button
     event.preventDefault();

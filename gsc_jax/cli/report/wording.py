@@ -146,7 +146,14 @@ def views_sentence(result: Result) -> str | None:
 
 def summary(located: Located, out: Path) -> list[str]:
     """Summarise a run, whose results are in the folder `out`, in a few lines for the terminal."""
-    result = located.result
+    result, verdict, findings = located.result, located.result.verdict, [lead(located)]
+    if verdict is not None:
+        contradiction, masks = conflict(result), bool(result.probabilities)
+        findings = [
+            *([contradiction] if contradiction else []),
+            f"{headline(verdict, int(result.labels.sum()))} {findings[0]}",
+            f"edited   {percent(verdict)} (scene probability). {meaning(verdict, masks=masks)}",
+        ]
     seconds = {name: stage["seconds"] for name, stage in result.stages.items()}
     slowest = sorted(seconds, key=seconds.__getitem__, reverse=True)[:3]
     times = ", ".join(f"{name} {seconds[name]:.1f} s" for name in slowest)
@@ -154,7 +161,7 @@ def summary(located: Located, out: Path) -> list[str]:
     kinds = [f"{counts[key]} {name}" for key, (_, name, _) in RELIABILITY.items() if counts[key]]
     views = views_sentence(result)
     return [
-        *_verdict_lines(located),
+        *findings,
         *([f"masks    {', '.join(kinds)}"] if kinds else []),
         *([f"views    {views}"] if views else []),
         *(f"trace    {trace.explanation}" for trace in found_traces(result)),
@@ -177,15 +184,3 @@ def lead(located: Located) -> str:
         views=len(result.masks),
         covered=located.visible_share,
     )
-
-
-def _verdict_lines(located: Located) -> list[str]:
-    result, verdict, labels = located.result, located.result.verdict, lead(located)
-    if verdict is None:
-        return [labels]
-    contradiction, masks = conflict(result), bool(result.probabilities)
-    return [
-        *([contradiction] if contradiction else []),
-        f"{headline(verdict, int(result.labels.sum()))} {labels}",
-        f"edited   {percent(verdict)} (scene probability). {meaning(verdict, masks=masks)}",
-    ]

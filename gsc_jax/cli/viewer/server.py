@@ -114,13 +114,10 @@ def _check(options: View) -> None:
         raise InputError("view: needs viser: pip install 'gsc_jax[viewer]'") from error
     if options.most < 1:
         raise InputError(f"--most {options.most}: expected at least one Gaussian")
-    if options.html is None:
-        _check_address(options.host, options.port)
-
-
-def _check_address(host: str, port: int) -> None:
-    """Reject addresses at which nothing can be served; viser would try the next port forever."""
-    try:
+    if options.html is not None:
+        return
+    host, port = options.host, options.port
+    try:  # at an address where nothing can be served, viser would try the next port forever
         family, kind, _, _, address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
         with socket.socket(family, kind) as probe:
             probe.bind(address)

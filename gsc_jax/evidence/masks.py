@@ -8,11 +8,12 @@ views without the object; that rule is available as `per-view` for comparison.
 import dataclasses
 import typing
 from collections.abc import Callable, Sequence
-from typing import Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.evidence.storage import ArrayStore, ByView
@@ -154,7 +155,7 @@ def stored_masks(
 def rendered_share(
     gaussians: Gaussians, camera: Camera, feature: Array, *, near: float = NEAR
 ) -> np.ndarray:
-    """Render a feature relative to alpha.
+    """Render a feature relative to alpha; `jax.grad` differentiates it by feature and Gaussians.
 
     Args:
         gaussians: N Gaussians.
@@ -172,14 +173,17 @@ def rendered_share(
     feature = require_finite("feature", jnp.asarray(feature, jnp.float32))
     if feature.shape != (len(gaussians),):
         raise ValueError(f"feature must have shape ({len(gaussians)},), got {feature.shape}")
-    view = restricted(make_view(gaussians, camera, near=near), np.asarray(feature) != 0)
+    view = make_view(gaussians, camera, near=near)
+    if not isinstance(feature, Tracer):
+        view = restricted(view, np.asarray(feature) != 0)
     image, alpha = composite_with_alpha(view, feature[:, None])
     return _share(image[..., 0], alpha)
 
 
-def _share(blended: jax.Array, alpha: jax.Array) -> np.ndarray:
+def _share(blended: jax.Array, alpha: jax.Array) -> Any:
     covered = alpha > MIN_COVERAGE
-    return np.asarray(jnp.where(covered, blended / jnp.where(covered, alpha, 1.0), 0.0))
+    share = jnp.where(covered, blended / jnp.where(covered, alpha, 1.0), 0.0)
+    return share if isinstance(share, Tracer) else np.asarray(share)
 
 
 def _per_view_mask(

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -135,6 +136,19 @@ def test_a_pixel_at_half_of_the_largest_score_of_the_view_is_not_above_half():
         mask = view_mask(scene, CAMERA, scores, rule="per-view", threshold=0.5)
         assert mask[8, 11]
         assert mask[8, 21] == shown
+
+
+def test_a_rendered_share_has_gradients():
+    scene, feature = random_scene(30), np.linspace(0, 1, 30, dtype=np.float32)
+    by_scene, by_feature = jax.grad(
+        lambda scene, feature: jnp.sum(rendered_share(scene, CAMERA, feature)), argnums=(0, 1)
+    )(scene, feature)
+    step = np.zeros(30, np.float32)
+    step[np.argmax(np.abs(by_feature))] = 0.1
+    low, high = (rendered_share(scene, CAMERA, feature + sign * step).sum() for sign in (-1, 1))
+    assert float(jnp.vdot(by_feature, step)) == pytest.approx(0.5 * (high - low), rel=1e-3)
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(by_scene))
+    assert np.abs(by_scene.logit_opacities).max() > 0.01
 
 
 @pytest.mark.parametrize("wrong", [-0.1, 1.0, 1.5, np.nan])

@@ -102,6 +102,8 @@ def _open_network(path: Path, options: Locate) -> Detector:
         raise InputError(
             f"--detector {path}: is a preset; give --detector MODEL.onnx --preset {path}"
         )
+    if not path.exists():
+        raise InputError(f"--detector {path}: no such file, expected native, none or a model")
     runtime = {"providers": [options.provider or "cpu"], "threads": options.threads or 0}
     if path.is_dir():
         if options.preset or options.spec:

@@ -61,6 +61,7 @@ def test_a_network_is_loaded_but_not_run(case, tmp_path, own_cache):
         ({"masks": "missing"}, "missing: does not exist"),
         ({"near": 50}, "the near plane at 50"),
         ({"masks": None, "detector": "missing.onnx"}, "missing.onnx: no such file"),
+        ({"masks": None, "detector": "nativ"}, "expected native, none or a model"),
     ],
 )
 def test_it_refuses_what_a_run_refuses(case, tmp_path, changes, expected):

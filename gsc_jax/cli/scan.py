@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import logging
+import socket
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -22,11 +23,13 @@ from gsc_jax.collection.scan import import_ray, scan
 from gsc_jax.collection.settings import ScanSettings
 from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.io.files import atomic
+from gsc_jax.io.validation import reported
 from gsc_jax.scene.parallel import usable_cores
 
 PAGE, RANKED = "collection.html", 20
 """Name of the page, and scenes in the table on the terminal."""
 PER_SCENE = "cpus", "memory", "timeout", "retries", "report_above"
+CONNECT_SECONDS = 10.0
 MAX_BLOCKS = 100_000
 """Units of work of Ray: a scene, or several of them in a larger collection."""
 
@@ -39,7 +42,8 @@ class Scan(Locate):
       gsc-jax scan models/ --out scanned
       gsc-jax scan manifest.csv --out scanned --report-above 0.65
 
-    Needs the extra `cluster`. The same command continues a killed scan.
+    Needs the extra `cluster`. The same command continues a killed scan. A scene that cannot be
+    judged is a row with an error; the exit code is 0.
 
     written to the folder of --out:
       collection.html          start here
@@ -84,8 +88,8 @@ def run_scan(options: Scan, *, monitor: Monitor) -> tuple[list[str], list[str]]:
         return [text], []
     with locked(out / UNFINISHED), _connected(ray, options):
         cores = int(ray.cluster_resources().get("CPU", 1))
-        workers = min(options.workers or max(cores // options.cpus, 1), len(entries))
-        settings = dataclasses.replace(settings, workers=workers)
+        workers = options.workers or max(cores // options.cpus, 1)
+        settings = dataclasses.replace(settings, workers=min(workers, len(entries)))
         done = _scanned(ray, entries, settings, monitor)
         merge_rows(out, settings.digest(), {row["id"]: row["key"] for row in done})
         rows = list(read_rows(out, settings.digest()))
@@ -94,7 +98,8 @@ def run_scan(options: Scan, *, monitor: Monitor) -> tuple[list[str], list[str]]:
     with contextlib.suppress(OSError):
         (out / UNFINISHED).rmdir()
     ids = {entry["id"] for entry in entries}
-    return _summary([row for row in rows if row["id"] in ids], done, options, monitor), []
+    lines = _summary([row for row in rows if row["id"] in ids], done, options, monitor)
+    return [*lines, f"page     {out / PAGE}, all {len(rows):,} scenes of the folder"], []
 
 
 def _settings(options: Scan) -> ScanSettings:
@@ -104,7 +109,7 @@ def _settings(options: Scan) -> ScanSettings:
     return ScanSettings(
         command={k: v for k, v in command.items() if k not in ("scene", "out", "memory")},
         out=options.out.absolute(),
-        workers=options.workers or 1,
+        workers=1 if options.workers is None else options.workers,
         cache=None if options.no_cache else cache_folder(),
         **{name: getattr(options, name) for name in PER_SCENE},
     )
@@ -116,9 +121,13 @@ def _connected(ray: Any, options: Scan) -> Iterator[None]:
     if ray.is_initialized():
         yield
         return
+    host, colon, port = (options.address or "").rpartition("/")[2].rpartition(":")
+    if colon:  # otherwise Ray would try for minutes
+        with reported(f"--address {options.address}: no answer", "; is the cluster running?"):
+            socket.create_connection((host, int(port)), CONNECT_SECONDS).close()
     cores = (options.workers or 0) * options.cpus or len(usable_cores())
-    started = {"address": "local", "num_cpus": cores, "include_dashboard": False}
-    cluster = {"address": options.address} if options.address else started
+    local = {"address": "local", "num_cpus": cores, "include_dashboard": False}
+    cluster = {"address": options.address} if options.address else local
     ray.init(**cluster, log_to_driver=False, logging_level=logging.ERROR)
     try:
         yield
@@ -160,4 +169,4 @@ def _summary(
     for kind, number in Counter(row["error_class"] for row in failed).most_common():
         first = next(row["error"] for row in failed if row["error_class"] == kind)
         lines.append(f"errors   {kind}: {number:,}, such as {first}")
-    return [*lines, f"rows     {options.out / 'scenes'}", f"page     {options.out / PAGE}"]
+    return [*lines, f"rows     {options.out / 'scenes'}"]

@@ -60,13 +60,25 @@ def read_rows(out: Path, configuration: str) -> Iterator[Row]:
         yield from _rows(part)
 
 
-def finished_scenes(out: Path, configuration: str) -> dict[str, list[str]]:
-    """Ids of the finished scenes by key, the one that was judged first; no transient errors."""
+def reported(row: Row, above: float | None) -> bool:
+    """Whether a judged scene gets the folder of `locate`; without a probability, if labelled."""
+    found = row["scene_probability"]
+    return above is not None and (row["labelled"] > 0 if found is None else found) >= above
+
+
+def finished_scenes(
+    out: Path, configuration: str, *, report_above: float | None = None
+) -> dict[str, list[str]]:
+    """Ids of the finished scenes by key, the one that was judged first.
+
+    Transient errors are not final, and a scene that now gets a folder is judged again.
+    """
     finished: dict[str, list[str]] = {}
     for row in sorted(read_rows(out, configuration), key=lambda row: bool(row["duplicate_of"])):
         # A copy counts only after its original, which a killed scan may not have judged.
         original = not row["duplicate_of"] or row["key"] in finished
-        if original and row["key"] and row["error_class"] not in TRANSIENT:
+        missing = not row["report"] and not row["error_class"] and reported(row, report_above)
+        if original and row["key"] and not missing and row["error_class"] not in TRANSIENT:
             finished.setdefault(row["key"], []).append(row["id"])
     return finished
 

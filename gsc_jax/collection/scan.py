@@ -35,7 +35,8 @@ def scan(dataset: "Dataset", *, settings: ScanSettings | None = None) -> "Datase
     ray = import_ray()
     settings = settings or ScanSettings()
     configuration = settings.digest()
-    finished = finished_scenes(settings.out, configuration) if settings.out else {}
+    out, above = settings.out, settings.report_above
+    finished = finished_scenes(out, configuration, report_above=above) if out else {}
     # On the driver's node: a ledger that is lost with another node would end the scan.
     strategy = ray.util.scheduling_strategies.NodeAffinitySchedulingStrategy
     here = strategy(ray.get_runtime_context().get_node_id(), soft=False)
@@ -44,7 +45,8 @@ def scan(dataset: "Dataset", *, settings: ScanSettings | None = None) -> "Datase
         cast(Any, SceneWorker),  # Ray makes an instance in every actor
         fn_constructor_args=(settings, configuration, ledger),
         compute=ray.data.ActorPoolStrategy(
-            size=settings.workers,
+            min_size=1,  # the cores also serve what reads the dataset and what follows
+            max_size=settings.workers,
             max_tasks_in_flight_per_actor=AHEAD,
             max_concurrent_calls_per_actor=AHEAD,
             enable_true_multi_threading=True,

@@ -102,8 +102,8 @@ class SceneWorker:
 
     def __call__(self, entry: Row) -> Row:
         """The row of a scene, which is written to the folder of results if there is one."""
-        row = {**entry, "key": "", "attempts": 1, "status": "judged"}  # no key: it was not read
-        row |= {"configuration": self._configuration}
+        row = {**entry, "id": entry.get("id") or entry["path"], "status": "judged"}
+        row |= {"key": "", "attempts": 1, "configuration": self._configuration}  # not read yet
         row["version"] = importlib.metadata.version("gsc_jax")
         with tempfile.TemporaryDirectory(prefix="gsc-jax-") as folder:
             try:
@@ -225,5 +225,6 @@ def _identified(places: dict[str, Path | None]) -> Row:
 
 
 def _failure(error: Exception | str, entry: Row, kind: str) -> Row:
-    text = " ".join(str(getattr(error, "strerror", None) or error).split()) or kind
+    late = "took longer than --timeout to fetch" if kind == "TimeoutError" else kind
+    text = " ".join(str(getattr(error, "strerror", None) or error).split()) or late
     return {"error_class": kind, "error": f"{entry['path']}: {text}"}

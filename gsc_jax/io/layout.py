@@ -44,7 +44,14 @@ def decode(vertex: "PlyElement", path: Path) -> Gaussians:
             "of degree 0 to 3); export the scene again"
         )
     rest = REST[:count]
-    _check_numeric(vertex, (*POSITION, *DC, "opacity", *scales, *ROTATION, *rest), path)
+    names = (*POSITION, *DC, "opacity", *scales, *ROTATION, *rest)
+    types = vertex.data.dtype.fields or {}
+    missing = [name for name in names if name not in types or types[name][0].kind not in "iuf"]
+    if missing:
+        raise InputError(
+            f"{path}: lacks the numeric vertex properties {', '.join(missing)}, which a 3D "
+            "Gaussian splatting model has; is it a point cloud or a mesh?"
+        )
     log_scales = _columns(vertex, scales)
     if len(scales) == 2:
         log_scales = np.pad(log_scales, ((0, 0), (0, 1)), constant_values=FLAT_LOG_SCALE)
@@ -85,16 +92,6 @@ def checked_scores(path: str | Path, tamper: Array, count: int) -> np.ndarray:
             f"{scores.dtype} of shape {scores.shape}; correct the scores"
         )
     return real
-
-
-def _check_numeric(vertex: "PlyElement", names: tuple[str, ...], path: Path) -> None:
-    types = vertex.data.dtype.fields or {}
-    missing = [name for name in names if name not in types or types[name][0].kind not in "iuf"]
-    if missing:
-        raise InputError(
-            f"{path}: lacks the numeric vertex properties {', '.join(missing)}, which a 3D "
-            "Gaussian splatting model has; is it a point cloud or a mesh?"
-        )
 
 
 def _columns(vertex: "PlyElement", names: tuple[str, ...]) -> np.ndarray:

@@ -62,7 +62,15 @@ def read_transforms(data: Mapping[str, Any], path: Path) -> list[Camera]:
 
 def _camera(item: Any, folder: Path) -> Camera:
     frame = _Frame.model_validate(item)
-    _check_undistorted(item)
+    found = [key for key in DISTORTION if item.get(key)]
+    model = item.get("camera_model", "PINHOLE")
+    if model not in PINHOLE_MODELS:
+        found.append(f"camera model {shown(model)}")
+    if found:
+        raise ValueError(
+            f"the camera is distorted ({', '.join(found)}), expected a pinhole camera; undistort "
+            "images and cameras first (colmap image_undistorter)"
+        )
     size = (frame.w, frame.h) if frame.w and frame.h else _image_size(folder, frame.file_path)
     x = _focal(frame.fl_x, frame.camera_angle_x, size[0])
     y = _focal(frame.fl_y, frame.camera_angle_y, size[1])
@@ -75,18 +83,6 @@ def _camera(item: Any, folder: Path) -> Camera:
         center=(frame.cx, frame.cy),
         size=size,
     )
-
-
-def _check_undistorted(item: Mapping[str, Any]) -> None:
-    found = [key for key in DISTORTION if item.get(key)]
-    model = item.get("camera_model", "PINHOLE")
-    if model not in PINHOLE_MODELS:
-        found.append(f"camera model {shown(model)}")
-    if found:
-        raise ValueError(
-            f"the camera is distorted ({', '.join(found)}), expected a pinhole camera; undistort "
-            "images and cameras first (colmap image_undistorter)"
-        )
 
 
 def _image_size(folder: Path, name: str) -> tuple[int, int]:

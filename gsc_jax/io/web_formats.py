@@ -1,9 +1,8 @@
 """Scenes of web viewers: `.splat` (of antimatter15), `.ksplat` (GaussianSplats3D), `.glb` (glTF).
 
-They hold scales and opacities as they are, not their logarithms or log odds. A `.splat` has 32
-bytes a Gaussian and no view-dependent colour. A `.ksplat` has sections of rows of one compression
-level; those of level 1 and 2 hold positions relative to the centre of a bucket of rows. In a `.glb`
-(KHR_gaussian_splatting), rotations are xyzw, and up is +y. The axes stay as they are in the file.
+They hold scales and opacities, not their logarithms or log odds. A `.splat` has no view-dependent
+colour. A `.ksplat` of level 1 or 2 has positions relative to the centre of a bucket of rows. In a
+`.glb`, rotations are xyzw, and up is +y. The axes stay as they are in the file.
 """
 
 import json
@@ -21,16 +20,15 @@ from gsc_jax.scene import Gaussians
 
 LEVELS = 255
 SPLAT = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)])
-KSPLAT_HEADER_BYTES, KSPLAT_SECTION_BYTES = 4096, 1024
-KSPLAT_HEADER = {"major": ("u1", 0), "sections": ("<u4", 4), "level": ("<u2", 20)}
-KSPLAT_HEADER |= {"low": ("<f4", 36), "high": ("<f4", 40)}
-KSPLAT_SECTION = {"rows": ("<u4", 4), "bucket_rows": ("<u4", 8), "buckets": ("<u4", 12)}
-KSPLAT_SECTION |= {"block": ("<f4", 16), "range": ("<u4", 24), "full": ("<u4", 32)}
-KSPLAT_SECTION |= {"partial": ("<u4", 36), "degree": ("<u2", 40)}
-"""Fields of the headers that are read, with their type and place."""
+_HEADER: Any = {"major": ("u1", 0), "sections": ("<u4", 4), "level": ("<u2", 20)}
+_HEADER |= {"low": ("<f4", 36), "high": ("<f4", 40), "unused": ("V1", 4095)}
+_SECTION: Any = {"rows": ("<u4", 4), "in_bucket": ("<u4", 8), "buckets": ("<u4", 12)}
+_SECTION |= {"block": ("<f4", 16), "steps": ("<u4", 24), "full": ("<u4", 32)}
+_SECTION |= {"partial": ("<u4", 36), "degree": ("<u2", 40), "unused": ("V1", 1023)}
+KSPLAT_HEADER, KSPLAT_SECTION = np.dtype(_HEADER), np.dtype(_SECTION)
 KSPLAT_TYPES = (("<f4", "<f4", "<f4"), ("<u2", "<f2", "<f2"), ("<u2", "<f2", "u1"))
 """By compression level: types of positions, of scales and rotations, and of harmonics."""
-DEFAULT_RANGE, DEFAULT_BOUND = 32767, 1.5
+DEFAULT_STEPS, DEFAULT_BOUND = 32767, 1.5
 GLTF = "KHR_gaussian_splatting"
 GLTF_TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5126: "<f4"}
 PLACES = {"matrix", "translation", "rotation", "scale"}
@@ -47,13 +45,13 @@ def read_splat(path: Path, _: int | None = None) -> Gaussians:
 def read_ksplat(path: Path, _: int | None = None) -> Gaussians:
     """Read all rows of a .ksplat file, NumPy float32; ValueError if it is damaged or unknown."""
     data = path.read_bytes()
-    header = _fields(data, KSPLAT_HEADER, 0)
-    if header["major"] or header["level"] >= len(KSPLAT_TYPES):
-        raise ValueError(f"version {header['major']}, compression level {header['level']}")
-    starts = range(KSPLAT_HEADER_BYTES, len(data), KSPLAT_SECTION_BYTES)[: header["sections"]]
-    at, parts = KSPLAT_HEADER_BYTES + KSPLAT_SECTION_BYTES * header["sections"], []
-    for start in starts:
-        columns, at = _ksplat_section(data, header, _fields(data, KSPLAT_SECTION, start), at)
+    major, sections, level, low, high, _ = np.frombuffer(data, KSPLAT_HEADER, 1)[0].tolist()
+    if major or level >= len(KSPLAT_TYPES):
+        raise ValueError(f"version {major}, compression level {level}")
+    at, parts = KSPLAT_HEADER.itemsize + sections * KSPLAT_SECTION.itemsize, []
+    bounds = low or -DEFAULT_BOUND, high or DEFAULT_BOUND
+    for section in np.frombuffer(data, KSPLAT_SECTION, sections, KSPLAT_HEADER.itemsize).tolist():
+        columns, at = _ksplat_section(data, level, bounds, section, at)
         parts.append(columns)
     bands = max(part[-1].shape[1] for part in parts)
     for part in parts:
@@ -61,41 +59,30 @@ def read_ksplat(path: Path, _: int | None = None) -> Gaussians:
     return _gaussians(*map(np.concatenate, zip(*parts, strict=True)))
 
 
-def _fields(data: bytes, fields: Mapping[str, tuple[str, int]], start: int) -> dict[str, Any]:
-    """Numbers of a header that begins at `start`."""
-    return {
-        name: np.frombuffer(data, kind, 1, start + place)[0].item()
-        for name, (kind, place) in fields.items()
-    }
-
-
 def _ksplat_section(
-    data: bytes, header: dict[str, Any], section: dict[str, Any], at: int
+    data: bytes, level: int, bounds: tuple[float, float], section: tuple[Any, ...], at: int
 ) -> tuple[list[np.ndarray], int]:
     """Columns of the rows of a section that begins at `at`, and where the next one begins."""
-    place, number, harmonic = KSPLAT_TYPES[header["level"]]
-    layout = [("mean", place, 3), ("scale", number, 3), ("quat", number, 4), ("rgba", "u1", 4)]
-    count, degree, buckets = section["rows"], section["degree"], section["buckets"]
-    partial = np.frombuffer(data, "<u4", section["partial"], at)
-    centers = np.frombuffer(data, "<f4", 3 * buckets, at + partial.nbytes).reshape(-1, 3)
-    at += partial.nbytes + centers.nbytes
-    if degree > 2 or section["full"] > buckets:
-        raise ValueError(f"degree {degree}, {section['full']} of {buckets} buckets full")
-    layout.append(("rest", harmonic, (3 * (degree + 1) ** 2 - 3,)))
+    count, in_bucket, buckets, block, steps, full, partial, degree, _ = section
+    if degree > 2 or full > buckets:
+        raise ValueError(f"degree {degree}, {full} of {buckets} buckets full")
+    place, number, harmonic = KSPLAT_TYPES[level]
+    layout: list[Any] = [("mean", place, 3), ("scale", number, 3), ("quat", number, 4)]
+    layout += [("rgba", "u1", 4), ("rest", harmonic, (3 * (degree + 1) ** 2 - 3,))]
+    lengths = np.frombuffer(data, "<u4", partial, at)
+    centers = np.frombuffer(data, "<f4", 3 * buckets, at + lengths.nbytes).reshape(-1, 3)
+    at += lengths.nbytes + centers.nbytes
     rows = np.frombuffer(data, layout, count, at)
-    names = ("mean", "scale", "quat", "rgba", "rest")
-    means, scales, quats, shares, values = (rows[name].astype(np.float32) for name in names)
+    means, scales, quats, shares, values = (rows[name].astype(np.float32) for name, *_ in layout)
     shares /= LEVELS
-    if header["level"]:
-        lengths = np.array([*[section["bucket_rows"]] * section["full"], *partial], int)
+    if level:
+        lengths = np.array([*[in_bucket] * full, *lengths], int)
         if lengths.sum() != count:
             raise ValueError(f"buckets of {lengths.sum()} rows, expected {count}")
-        steps = section["range"] or DEFAULT_RANGE
-        offsets = (means - steps) * (section["block"] / 2 / steps)
-        means = offsets + centers[np.repeat(np.arange(buckets), lengths)]
+        steps = steps or DEFAULT_STEPS
+        means = (means - steps) * (block / 2 / steps) + np.repeat(centers, lengths, axis=0)
     if harmonic == "u1":
-        low, high = header["low"] or -DEFAULT_BOUND, header["high"] or DEFAULT_BOUND
-        values = low + values / LEVELS * (high - low)
+        values = bounds[0] + values / LEVELS * (bounds[1] - bounds[0])
     sh = [(shares[:, None, :3] - 0.5) / Y0]
     for band in range(1, degree + 1):  # of a band, first all numbers of red
         part = values[:, 3 * band**2 - 3 : 3 * (band + 1) ** 2 - 3]

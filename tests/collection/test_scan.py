@@ -250,6 +250,46 @@ def test_a_scan_is_a_stage_of_a_pipeline(tmp_path):
     assert str(tmp_path / "missing.ply") in rows["y"]["error"]
 
 
+def test_a_pipeline_progresses_where_workers_could_take_every_core(tmp_path):
+    from pyarrow import Table, parquet
+
+    path = scene(tmp_path / "a.ply", 0)
+    paths = [str(path), str(tmp_path / "missing.ply")]
+    parquet.write_table(Table.from_pydict({"path": paths}), tmp_path / "manifest.parquet")
+    dataset = ray.data.read_parquet(str(tmp_path / "manifest.parquet")).repartition(2)
+    found = scan(dataset, settings=ScanSettings(workers=64)).filter(lambda row: row["gaussians"])
+    found.write_parquet(str(tmp_path / "found"))
+    (row,) = parquet.read_table(tmp_path / "found").to_pylist()
+    assert (row["id"], row["gaussians"]) == (str(path), COUNT)
+
+
+def test_a_later_scan_writes_the_reports_that_are_missing(tmp_path):
+    scene(tmp_path / "in" / "a.ply", 0)
+    before = scanned(tmp_path / "in", tmp_path / "out")["a.ply"]
+    assert before["report"] is None
+    after = scanned(tmp_path / "in", tmp_path / "out", "--report-above", "0")["a.ply"]
+    assert (tmp_path / "out" / "reports" / after["report"]).is_file()
+    assert after["result_sha256"] == before["result_sha256"]
+    third = run("scan", tmp_path / "in", "--out", tmp_path / "out", "--report-above", "0")
+    assert "(1 finished)" in third.out
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "expected"),
+    [("--workers", 0, "workers 0: expected a number of at least 1")],
+)
+def test_impossible_settings_are_refused(tmp_path, option, value, expected):
+    scene(tmp_path / "in" / "a.ply", 0)
+    assert expected in refused("scan", tmp_path / "in", "--out", tmp_path / "out", option, value)
+
+
+def test_an_address_without_a_cluster_is_refused_at_once(tmp_path, monkeypatch):
+    monkeypatch.setattr(ray, "is_initialized", lambda: False)  # the cluster of this file
+    scene(tmp_path / "in" / "a.ply", 0)
+    command = ["scan", tmp_path / "in", "--out", tmp_path / "out", "--address", "127.0.0.1:9"]
+    assert "--address 127.0.0.1:9: no answer" in refused(*command)
+
+
 def test_a_process_is_replaced_before_what_libraries_keep_adds_up(tmp_path, monkeypatch):
     monkeypatch.setattr(worker, "MAX_SCENES", 2)
     path = scene(tmp_path / "a.ply", 0)

@@ -10,6 +10,9 @@ from tables import REFERENCE, read_csv, where
 
 from gsc_jax.benchmark.simulate import REGIMES
 
+TOLERANCES = {"GS-Checker official": 0.03}
+"""Its Adam steps follow signs that rounding decides for some Gaussians: by the version of JAX and
+the processor, its figures differ by up to 0.014, those of the other methods by less than 0.0003."""
 METHODS = ("inverse projection", "FlashSplat", "GS-Checker official", "robust")
 
 
@@ -31,5 +34,6 @@ def test_documented_figures_come_out_of_the_code(edit, regimes):
             "records"
         )
         for metric in ("f1", "iou", "precision", "recall", "false_area", "f1_gaussians", "auc"):
-            expected = pytest.approx(figures[metric], abs=runner.SAME, nan_ok=True)
+            tolerance = TOLERANCES.get(row["method"], runner.SAME)
+            expected = pytest.approx(figures[metric], abs=tolerance, nan_ok=True)
             assert row[metric] == expected, f"{row['regime']}, {row['method']}, {metric}"

@@ -29,7 +29,6 @@ from gsc_jax.scene.parallel import usable_cores
 PAGE, RANKED = "collection.html", 20
 """Name of the page, and scenes in the table on the terminal."""
 PER_SCENE = "cpus", "memory", "timeout", "retries", "report_above"
-CONNECT_SECONDS = 10.0
 MAX_BLOCKS = 100_000
 """Units of work of Ray: a scene, or several of them in a larger collection."""
 
@@ -124,7 +123,7 @@ def _connected(ray: Any, options: Scan) -> Iterator[None]:
     host, colon, port = (options.address or "").rpartition("/")[2].rpartition(":")
     if colon:  # otherwise Ray would try for minutes
         with reported(f"--address {options.address}: no answer", "; is the cluster running?"):
-            socket.create_connection((host, int(port)), CONNECT_SECONDS).close()
+            socket.create_connection((host, int(port)), timeout=10.0).close()
     cores = (options.workers or 0) * options.cpus or len(usable_cores())
     local = {"address": "local", "num_cpus": cores, "include_dashboard": False}
     cluster = {"address": options.address} if options.address else local

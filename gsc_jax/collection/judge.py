@@ -13,7 +13,7 @@ import numpy as np
 
 from gsc_jax.cli.locate import Inputs, locate_and_write, read_inputs
 from gsc_jax.cli.options import Locate
-from gsc_jax.collection.record import Row, reported
+from gsc_jax.collection.record import Row, wants_report
 from gsc_jax.estimators.protocol import Finding, Prior
 from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.forensics.evidence import ForensicEvidence, estimate_from_attributes, forensic_evidence
@@ -60,7 +60,7 @@ def _judged(options: Locate, report_above: float | None, monitor: Monitor) -> Ro
         "warnings": list(dict.fromkeys([*inputs.warnings, *notes])),
         "result_sha256": result_digest(scene.expand(found.tamper), scene.expand(found.labels)),
     }
-    if reported(row, report_above):
+    if wants_report(row, report_above):
         given = prior if isinstance(prior, ForensicEvidence) else inputs.attributes
         with monitor.stage("load"):
             inputs = inputs if inputs.cameras else read_inputs(options, monitor=monitor)

@@ -60,10 +60,10 @@ def read_rows(out: Path, configuration: str) -> Iterator[Row]:
         yield from _rows(part)
 
 
-def reported(row: Row, above: float | None) -> bool:
+def wants_report(row: Row, above: float | None) -> bool:
     """Whether a judged scene gets the folder of `locate`; without a probability, if labelled."""
     found = row["scene_probability"]
-    return above is not None and (row["labelled"] > 0 if found is None else found) >= above
+    return above is not None and (bool(row["labelled"]) if found is None else found) >= above
 
 
 def finished_scenes(
@@ -77,8 +77,9 @@ def finished_scenes(
     for row in sorted(read_rows(out, configuration), key=lambda row: bool(row["duplicate_of"])):
         # A copy counts only after its original, which a killed scan may not have judged.
         original = not row["duplicate_of"] or row["key"] in finished
-        missing = not row["report"] and not row["error_class"] and reported(row, report_above)
-        if original and row["key"] and not missing and row["error_class"] not in TRANSIENT:
+        has_all = row["report"] or row["duplicate_of"] or row["error_class"]
+        final = has_all or not wants_report(row, report_above)
+        if original and row["key"] and final and row["error_class"] not in TRANSIENT:
             finished.setdefault(row["key"], []).append(row["id"])
     return finished
 

@@ -4,7 +4,7 @@ import pytest
 
 pytest.importorskip("pyarrow", reason="needs the extra `cluster`")
 
-from gsc_jax.collection.record import complete, merge_rows, read_rows, write_row
+from gsc_jax.collection.record import complete, finished_scenes, merge_rows, read_rows, write_row
 from gsc_jax.scene import InputError
 
 ROW = complete({"id": "a.ply", "key": "ab12", "configuration": "c" * 64, "path": "a.ply"})
@@ -19,6 +19,27 @@ def test_what_a_killed_worker_left_is_neither_read_nor_kept(tmp_path):
     merge_rows(tmp_path, ROW["configuration"], {"a.ply": "ab12"})
     assert [row["id"] for row in read_rows(tmp_path, ROW["configuration"])] == ["a.ply"]
     assert not left.exists()
+
+
+def test_a_scene_whose_folder_is_wanted_now_is_not_finished(tmp_path):
+    judged = {"scene_probability": 0.5, "labelled": 3}
+    rows = {
+        "probable": {**judged, "key": "aa"},
+        "reported": {**judged, "key": "bb", "report": "x/report.html"},
+        "improbable": {**judged, "key": "cc", "scene_probability": 0.1},
+        "broken": {"key": "dd", "error_class": "InputError"},
+        "late": {"key": "ee", "error_class": "TimeoutError"},
+        "copy": {"key": "bb", "duplicate_of": "reported"},
+        "copy of probable": {"key": "aa", "duplicate_of": "probable"},
+        "labelled": {**judged, "key": "ff", "scene_probability": None},
+    }
+    for name, row in rows.items():
+        write_row(tmp_path, {**ROW, "id": name, **row})
+    configuration = ROW["configuration"]
+    before = finished_scenes(tmp_path, configuration)
+    assert set(before) == {"aa", "bb", "cc", "dd", "ff"}
+    after = finished_scenes(tmp_path, configuration, report_above=0.4)
+    assert after == {"bb": ["reported", "copy"], "cc": ["improbable"], "dd": ["broken"]}
 
 
 def test_a_damaged_row_is_named(tmp_path):

@@ -47,7 +47,7 @@ def scan(dataset: "Dataset", *, settings: ScanSettings | None = None) -> "Datase
         compute=ray.data.ActorPoolStrategy(
             min_size=1,  # the cores also serve what reads the dataset and what follows
             max_size=settings.workers,
-            max_tasks_in_flight_per_actor=AHEAD,
+            max_tasks_in_flight_per_actor=2 * AHEAD,  # enough for Ray to add workers
             max_concurrent_calls_per_actor=AHEAD,
             enable_true_multi_threading=True,
         ),

@@ -41,8 +41,7 @@ class Scan(Locate):
       gsc-jax scan models/ --out scanned
       gsc-jax scan manifest.csv --out scanned --report-above 0.65
 
-    Needs the extra `cluster`. The same command continues a killed scan. A scene that cannot be
-    judged is a row with an error; the exit code is 0.
+    Needs the extra `cluster`. The same command continues a killed scan.
 
     written to the folder of --out:
       collection.html          start here
@@ -57,7 +56,8 @@ class Scan(Locate):
         workers: Scenes that are judged at the same time.
         cpus: Cores of a worker.
         timeout: Seconds that a scene may take.
-        retries: How often a scene is tried again after a timeout or the loss of its process.
+        retries: How often a scene is tried again after a timeout or the loss of its process,
+            before it is a row with an error. The exit code is 0 also with such rows.
         report_above: Scene probability from which the folder of `locate` is written, too: 0 for
             all scenes.
         memory: Memory in GiB of a worker; a file that expands to more is refused.

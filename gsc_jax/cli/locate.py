@@ -48,7 +48,7 @@ class Inputs:
 def read_inputs(
     options: Locate, *, monitor: Monitor, previews: int = scene_input.PREVIEW_VIEWS
 ) -> Inputs:
-    """Read and check all input of a run of `locate`; `previews` views are placed for a report."""
+    """Read and check all input of `locate`; without masks, `previews` cameras are placed."""
     scene_input.check_numbers(options)
     if (options.out / "edit.json").exists():
         raise InputError(

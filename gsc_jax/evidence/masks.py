@@ -116,7 +116,7 @@ def pictures(
     threshold: float,
     near: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Compute `view_mask`, the render, RGB (H, W, 3) in 8 bit, and the scores, (H, W), at once."""
+    """Render a view once: its mask (see `view_mask`), RGB of 8 bits, (H, W, 3), scores, (H, W)."""
     from skimage.util import img_as_ubyte
 
     features = jnp.stack([jnp.asarray(scored.labels, jnp.float32), scored.tamper], axis=1)
@@ -155,7 +155,7 @@ def stored_masks(
 def rendered_share(
     gaussians: Gaussians, camera: Camera, feature: Array, *, near: float = NEAR
 ) -> np.ndarray:
-    """Render a feature relative to alpha; `jax.grad` differentiates it by feature and Gaussians.
+    """Render the weighted mean of a feature; `jax.grad` works for the feature and the Gaussians.
 
     Args:
         gaussians: N Gaussians.

@@ -1,8 +1,8 @@
 """Scenes of web viewers: `.splat` (of antimatter15), `.ksplat` (GaussianSplats3D), `.glb` (glTF).
 
-They hold scales and opacities, not their logarithms or log odds. A `.splat` has no view-dependent
-colour. A `.ksplat` of level 1 or 2 has positions relative to the centre of a bucket of rows. In a
-`.glb`, rotations are xyzw, and up is +y. The axes stay as they are in the file.
+They store scales and opacities themselves, a .ply their logarithms and log odds. A `.splat` has no
+view-dependent colour. A `.ksplat` of level 1 or 2 has positions relative to the centre of a bucket
+of rows. In a `.glb`, rotations are xyzw, and up is +y. The axes stay as they are in the file.
 """
 
 import json
@@ -27,7 +27,7 @@ _SECTION |= {"block": ("<f4", 16), "steps": ("<u4", 24), "full": ("<u4", 32)}
 _SECTION |= {"partial": ("<u4", 36), "degree": ("<u2", 40), "unused": ("V1", 1023)}
 KSPLAT_HEADER, KSPLAT_SECTION = np.dtype(_HEADER), np.dtype(_SECTION)
 KSPLAT_TYPES = (("<f4", "<f4", "<f4"), ("<u2", "<f2", "<f2"), ("<u2", "<f2", "u1"))
-"""By compression level: types of positions, of scales and rotations, and of harmonics."""
+"""NumPy types of positions, of scales and rotations, and of harmonics, by compression level."""
 DEFAULT_STEPS, DEFAULT_BOUND = 32767, 1.5
 GLTF = "KHR_gaussian_splatting"
 GLTF_TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5126: "<f4"}
@@ -62,7 +62,7 @@ def read_ksplat(path: Path, _: int | None = None) -> Gaussians:
 def _ksplat_section(
     data: bytes, level: int, bounds: tuple[float, float], section: tuple[Any, ...], at: int
 ) -> tuple[list[np.ndarray], int]:
-    """Columns of the rows of a section that begins at `at`, and where the next one begins."""
+    """Decode the section that begins at byte `at`: its columns, and the byte behind its end."""
     count, in_bucket, buckets, block, steps, full, partial, degree, _ = section
     if degree > 2 or full > buckets:
         raise ValueError(f"degree {degree}, {full} of {buckets} buckets full")

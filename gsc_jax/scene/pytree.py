@@ -11,11 +11,11 @@ T = TypeVar("T")
 STATIC = {"static": True}
 """Metadata of the fields that `jax.tree_util.register_dataclass` makes static; chex has none."""
 SHORT = 16
-"""Entries up to which `short_repr` prints an array, such as the matrix of a camera."""
+"""`short_repr` prints the values of arrays with at most so many entries (a 4 x 4 matrix)."""
 
 
 def short_repr(self: Any) -> str:
-    """A line with the fields of a dataclass: arrays as `float32[1000, 3]`, the rest shortened."""
+    """The `repr` of a dataclass on one line; a large array is shown as `float32[1000, 3]`."""
 
     def shown(value: Any) -> str:
         if getattr(value, "size", 0) > SHORT:
@@ -29,7 +29,7 @@ def short_repr(self: Any) -> str:
 
 @dataclass_transform(frozen_default=True, kw_only_default=True)
 def pytree(cls: type[T]) -> type[T]:
-    """Declare an immutable dataclass whose fields are the leaves of a pytree."""
+    """Turn a class into an immutable dataclass that JAX treats as a pytree of its fields."""
     cls.__repr__ = short_repr
     declare: Any = chex.dataclass  # type checkers do not understand its own annotations
     return declare(cls, frozen=True, kw_only=True, mappable_dataclass=False)

@@ -10,9 +10,9 @@ from tables import REFERENCE, read_csv, where
 
 from gsc_jax.benchmark.simulate import REGIMES
 
-TOLERANCES = {"GS-Checker official": 0.03}
-"""Its Adam steps follow signs that rounding decides for some Gaussians: by the version of JAX and
-the processor, its figures differ by up to 0.014, those of the other methods by less than 0.0003."""
+TOLERANCES = {("GS-Checker official", "f1_gaussians"): 0.02}
+"""GS-Checker's loss contains a sign, which rounding decides for some Gaussians. JAX 0.10 and 0.12
+give this F1 with a difference of 0.014; all other figures agree within `runner.SAME`."""
 METHODS = ("inverse projection", "FlashSplat", "GS-Checker official", "robust")
 
 
@@ -34,6 +34,6 @@ def test_documented_figures_come_out_of_the_code(edit, regimes):
             "records"
         )
         for metric in ("f1", "iou", "precision", "recall", "false_area", "f1_gaussians", "auc"):
-            tolerance = TOLERANCES.get(row["method"], runner.SAME)
+            tolerance = TOLERANCES.get((row["method"], metric), runner.SAME)
             expected = pytest.approx(figures[metric], abs=tolerance, nan_ok=True)
             assert row[metric] == expected, f"{row['regime']}, {row['method']}, {metric}"

@@ -1,4 +1,4 @@
-"""The `repr` of the types: a line however large the arrays are."""
+"""Scenes, cameras and results print as one short line, also with large arrays."""
 
 import dataclasses
 

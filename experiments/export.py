@@ -20,11 +20,10 @@ import numpy as np
 from histories import OPACITY_STEP, logits, morton_order, unit_quats
 from scipy.special import expit
 
-from gsc_jax.benchmark.scenes import concatenate
 from gsc_jax.io.compressed import from_gsply
 from gsc_jax.render.spherical_harmonics import Y0
 from gsc_jax.scene import Gaussians, InputError
-from gsc_jax.scene.gaussians import usable_rows
+from gsc_jax.scene.gaussians import concatenate, usable_rows
 
 SCALE_STEP = 1 / 16
 """Step of log scales, as in spz."""

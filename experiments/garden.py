@@ -12,7 +12,6 @@ import numpy as np
 
 from gsc_jax.benchmark import surfaces
 from gsc_jax.benchmark.furniture import BRICK, OAK, WALNUT
-from gsc_jax.benchmark.scenes import concatenate
 from gsc_jax.benchmark.surfaces import (
     UP,
     Part,
@@ -27,6 +26,7 @@ from gsc_jax.render.orbit import look_at
 from gsc_jax.render.spherical_harmonics import Y0
 from gsc_jax.scene import Camera, Gaussians
 from gsc_jax.scene.camera import intrinsics
+from gsc_jax.scene.gaussians import concatenate
 
 LAWN, PATH, WALL, HORIZON = 2.4, 3.5, 5.8, 16.0
 """Outer radii of the inner lawn, the path, the outer lawn and the hills, in metres."""

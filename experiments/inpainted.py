@@ -9,11 +9,10 @@ import numpy as np
 from optimised import Refinement, refine, renders
 
 from gsc_jax.benchmark import regions
-from gsc_jax.benchmark.incorporation import with_degree
 from gsc_jax.benchmark.metrics import rendered_share
-from gsc_jax.benchmark.scenes import concatenate
 from gsc_jax.render.spherical_harmonics import Y0
 from gsc_jax.scene import Camera, Gaussians
+from gsc_jax.scene.gaussians import concatenate, with_degree
 from gsc_jax.splat import render_features
 
 HOLE_SHARE = 0.2

@@ -11,9 +11,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gsc_jax.benchmark import regions
-from gsc_jax.benchmark.scenes import concatenate
 from gsc_jax.render.spherical_harmonics import rotate
 from gsc_jax.scene import Array, Gaussians
+from gsc_jax.scene.gaussians import concatenate, with_degree
 
 PLACES = 96
 """Candidate places, of which the one of least cost is taken."""
@@ -156,13 +156,6 @@ def foot_of(low: np.ndarray, high: np.ndarray) -> np.ndarray:
 def rotation_between(start: np.ndarray, end: np.ndarray) -> np.ndarray:
     """Shortest rotation that maps one unit vector to another, shape (3, 3)."""
     return Rotation.align_vectors(end, start)[0].as_matrix()
-
-
-def with_degree(gaussians: Gaussians, degree: int) -> Gaussians:
-    """Truncate or zero-pad spherical harmonics to a degree."""
-    bands, sh = (degree + 1) ** 2, np.asarray(gaussians.sh)[:, : (degree + 1) ** 2]
-    padded = np.pad(sh, ((0, 0), (0, bands - sh.shape[1]), (0, 0)))
-    return dataclasses.replace(gaussians, sh=padded)
 
 
 def _with_quaternion_lengths_of(scene: Gaussians, donor: Gaussians) -> Gaussians:

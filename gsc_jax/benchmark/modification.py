@@ -15,9 +15,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gsc_jax.benchmark import regions
-from gsc_jax.benchmark.scenes import concatenate
 from gsc_jax.render.spherical_harmonics import Y0
 from gsc_jax.scene import Gaussians
+from gsc_jax.scene.gaussians import concatenate
 
 Warp = Callable[[jax.Array], jax.Array]
 

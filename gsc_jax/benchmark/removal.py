@@ -13,8 +13,8 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from gsc_jax.benchmark import regions
-from gsc_jax.benchmark.scenes import concatenate
 from gsc_jax.scene import Gaussians
+from gsc_jax.scene.gaussians import concatenate
 
 CANDIDATES = 8
 """Regions of which the one that is easiest to fill is removed."""

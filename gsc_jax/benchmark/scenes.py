@@ -8,7 +8,6 @@ images of scikit-image, so nothing is downloaded; if they are missing, there is 
 
 import dataclasses
 
-import jax
 import numpy as np
 
 from gsc_jax.benchmark.furniture import TABLE, room_parts, vase_parts
@@ -16,6 +15,7 @@ from gsc_jax.benchmark.surfaces import UP, TrainingStatistics, sample_parts
 from gsc_jax.render.orbit import look_at
 from gsc_jax.scene import Camera, Gaussians
 from gsc_jax.scene.camera import intrinsics
+from gsc_jax.scene.gaussians import concatenate
 
 OBJECT_FOOT = np.array([0.15, -TABLE, 0.05])
 FLOATER_SHARE = 0.03
@@ -99,11 +99,6 @@ def tampered_room(
         ),
         labels=order >= len(room),
     )
-
-
-def concatenate(scenes: list[Gaussians]) -> Gaussians:
-    """Concatenate scenes of one degree."""
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *scenes)
 
 
 def _floaters(surfaces: Gaussians, count: int, rng: np.random.Generator) -> Gaussians:

@@ -179,8 +179,8 @@ def _extremes(
 
 
 def _format(path: Path, ply: "PlyData") -> str:
-    if path.suffix.lower() in SUFFIXES:
-        return path.suffix.lower()
+    if path.is_dir() or path.suffix.lower() in SUFFIXES:
+        return "folder of a SOG" if path.is_dir() else path.suffix.lower()
     with path.open("rb") as file:
         header = file.read(MAX_HEADER_BYTES).partition(b"end_header")[0]
     if b"\nproperty uint packed_position" in header:

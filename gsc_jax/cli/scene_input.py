@@ -16,11 +16,12 @@ from gsc_jax.render.interior import moved_indoors
 from gsc_jax.render.orbit import opaque_means, orbit_cameras
 from gsc_jax.render.up import estimated_up, parse_up, up_text
 from gsc_jax.render.visibility import check_views, scale_warnings
-from gsc_jax.scene import Camera, Gaussians, InputError
+from gsc_jax.scene import Camera, InputError
 
 ORBIT_VIEWS, PREVIEW_VIEWS = 24, 12
 """Number of cameras on an orbit: one every 15 degrees, or 30 where views only show a result."""
-Y_UP = (".glb",)  # formats whose vertical is +y
+Y_UP_FORMAT, Z_UP_COMMENT = ".glb", "Vertical Axis: z"
+"""The vertical of all glTF is +y; nerfstudio writes a comment. Brush calls any vertical "y"."""
 MIN_SIDE_PIXELS, MAX_PIXELS = 8, 50_000_000
 """Limits of image sizes; beyond them, the camera or --scale is most likely a typing error."""
 
@@ -56,7 +57,7 @@ def read_scene(
         warnings.append(f"{options.scene}: already has a property tamper, which is replaced")
     monitor.progress("load", 1, 2)
     count = placed and (options.views or placed)
-    cameras = _read_cameras(options, scene.gaussians, warnings, count)
+    cameras = _read_cameras(options, scene, warnings, count)
     with naming(options.cameras or options.scene):
         check_names(cameras)
     monitor.progress("load", 2, 2)
@@ -64,15 +65,18 @@ def read_scene(
 
 
 def _read_cameras(
-    options: SceneOptions, gaussians: Gaussians, warnings: list[str], count: int
+    options: SceneOptions, scene: PlyScene, warnings: list[str], count: int
 ) -> list[Camera]:
+    gaussians = scene.gaussians
     if options.cameras is not None:
         cameras = load_cameras(options.cameras, max_bytes=memory_limit(options.memory))
     elif count == 0:
         return []
     else:
-        known = "y" if options.up is None and options.scene.suffix.lower() in Y_UP else options.up
-        up = estimated_up(gaussians) if known is None else parse_up(known)
+        stated = "z" if Z_UP_COMMENT in scene.ply.comments else None
+        stated = "y" if options.scene.suffix.lower() == Y_UP_FORMAT else stated
+        known = options.up or stated
+        up = parse_up(known) if known else estimated_up(gaussians)
         orbit = orbit_cameras(gaussians, count, up=up, seed=options.seed)
         indoors = moved_indoors(gaussians, orbit, up)
         cameras, place = indoors or orbit, "in and around the room" if indoors else "on an orbit"

@@ -23,7 +23,7 @@ from gsc_jax.collection.judge import judge
 from gsc_jax.collection.manifest import PLACES
 from gsc_jax.collection.record import Row, complete, write_row
 from gsc_jax.collection.settings import ScanSettings
-from gsc_jax.io.files import GIB, content_digest
+from gsc_jax.io.files import GIB, content_bytes, content_digest
 from gsc_jax.scene.parallel import usable_cores
 
 MAX_SCENES = 50
@@ -219,7 +219,7 @@ def _identified(places: dict[str, Path | None]) -> Row:
     return {
         "key": hashlib.sha256(repr(sorted(digests.items())).encode()).hexdigest(),
         "sha256": digests["path"],
-        "bytes": path.stat().st_size,
+        "bytes": content_bytes(path),
         "format": "".join(path.suffixes[-2:]).lower().lstrip(".").removeprefix("point_cloud."),
     }
 

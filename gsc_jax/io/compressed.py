@@ -1,6 +1,6 @@
 """Compressed scenes, decoded by `gsply` (the extra `formats`), and those of web viewers.
 
-PlayCanvas `.compressed.ply`, `.spz` and `.sog` are read as the Gaussians that they quantise, in the
+PlayCanvas `.compressed.ply`, `.spz` and SOG are read as the Gaussians that they quantise, in the
 axes in which they are stored. Some writers of .spz rotate a scene to y-up axes; the cameras of the
 original .ply then point past it. gsply must not be given a plain .ply: it silently misreads
 properties that are not float32.
@@ -8,16 +8,14 @@ properties that are not float32.
 
 import gzip
 import importlib
-import json
 import struct
-import zipfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from gsc_jax.io.files import check_allocation
-from gsc_jax.io.tables import BYTES_PER_CHARACTER
+from gsc_jax.io.sog import META, read_sog
 from gsc_jax.io.validation import reported, shown
 from gsc_jax.io.web_formats import read_glb, read_ksplat, read_splat
 from gsc_jax.scene import Gaussians, InputError
@@ -34,26 +32,18 @@ CHUNK_BYTES, VERTEX_BYTES, SH_BYTES = 18 * 4, 4 * 4, (9, 24, 45)
 SPZ_MAGIC, SPZ_HEADER_BYTES, ZSTD_HEADER_BYTES = b"NGSP", 16, 18
 BYTES_PER_BYTE = 16
 """Memory per byte of quantised Gaussians: each becomes a float32, in up to four arrays."""
-SOG_BYTES_PER_PIXEL = 80
-"""Memory per pixel of the images in a .sog: the pixels, and the Gaussian that they describe."""
-SOG_META = "meta.json"
-SOG_TABLES = {
-    "scales": {"codebook": 256, "mins": 3, "maxs": 3},
-    "sh0": {"codebook": 256, "mins": 4, "maxs": 4},
-    "shN": {"codebook": 256},
-}
-"""Lengths of tables in the meta.json of a .sog, of version 2 and of the one before."""
 BLOCK_BYTES = 2**20
 
 
 def read_compressed(path: Path, max_bytes: int | None = None) -> Gaussians:
-    """Read all Gaussians of a file of `SUFFIXES` or a PlayCanvas .compressed.ply, NumPy float32.
+    """Read all Gaussians of a compressed file, or of the folder of a SOG, NumPy float32.
 
     What a file expands to is compared with `max_bytes` before it is allocated. InputError if it is
     more, the file is damaged or of an unknown version, or gsply is needed and not installed.
     """
     kind = path.suffix.lower()
-    check_allocation(path, BYTES_PER_BYTE * path.stat().st_size, max_bytes)
+    if path.is_file():
+        check_allocation(path, BYTES_PER_BYTE * path.stat().st_size, max_bytes)
     gsply = None if kind in READERS else _gsply(path)
     with reported(f"{path}: damaged or unknown", f"; {_conversion(path)}"):
         if gsply is None:
@@ -61,9 +51,8 @@ def read_compressed(path: Path, max_bytes: int | None = None) -> Gaussians:
         if kind == ".spz":
             _check_spz(path, max_bytes)
             return from_gsply(gsply.read_spz(path))
-        if kind == ".sog":
-            _check_sog(path, max_bytes)
-            return from_gsply(gsply.sogread(path))
+        if kind == ".sog" or path.is_dir():
+            return read_sog(path, lambda data: from_gsply(gsply.sogread(data)), max_bytes)
         return from_gsply(gsply.decompress_from_bytes(path.read_bytes()))
 
 
@@ -133,38 +122,6 @@ def _check_spz_streams(path: Path, max_bytes: int | None) -> None:
         start += compressed_size
 
 
-def _check_sog(path: Path, max_bytes: int | None) -> None:
-    """Check the sizes of the entries and images of a .sog, and the tables that gsply indexes."""
-    from PIL import Image
-
-    needed = 0
-    with zipfile.ZipFile(path) as archive:
-        entries = {entry.filename: entry for entry in archive.infolist()}
-        if len(entries) < len(archive.infolist()):
-            raise ValueError("two entries of the same name")
-        for name, entry in entries.items():
-            if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-                raise ValueError(f"{name} is compressed in an unusual way")
-            needed += (BYTES_PER_CHARACTER if name == SOG_META else 1) * entry.file_size
-            check_allocation(path, needed, max_bytes)
-            if name != SOG_META:
-                with archive.open(entry) as file, Image.open(file, formats=["WEBP"]) as image:
-                    needed += SOG_BYTES_PER_PIXEL * image.width * image.height
-        check_allocation(path, needed, max_bytes)
-        _check_sog_tables(json.loads(archive.read(SOG_META)))
-
-
-def _check_sog_tables(meta: dict[str, Any]) -> None:
-    """Refuse tables of another length than that for which gsply reads them without a check."""
-    for attribute, lengths in SOG_TABLES.items():
-        for table, length in lengths.items():
-            found = len(meta.get(attribute, {}).get(table, range(length)))
-            if found != length:
-                raise ValueError(f"{attribute}.{table} has {found} entries, expected {length}")
-    if not meta.get("count", 1) > 0:
-        raise ValueError("no Gaussians")
-
-
 def from_gsply(data: Any) -> Gaussians:
     """Gaussians of a `gsply.GSData`."""
     bands = [data.sh0[:, None]] + ([] if data.shN is None else [data.shN])
@@ -174,4 +131,5 @@ def from_gsply(data: Any) -> Gaussians:
 
 
 def _conversion(path: Path) -> str:
-    return f"convert it: npx @playcanvas/splat-transform {path.name} scene.ply"
+    name = f"{path.name}/{META}" if path.is_dir() else path.name
+    return f"convert it: npx @playcanvas/splat-transform {name} scene.ply"

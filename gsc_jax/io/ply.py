@@ -20,6 +20,7 @@ import numpy as np
 from gsc_jax.io import compressed
 from gsc_jax.io.files import atomic, check_allocation, existing_file
 from gsc_jax.io.layout import REST_COUNTS, checked_scores, decode, encode
+from gsc_jax.io.sog import sog_folder
 from gsc_jax.io.validation import brief, reported, shown
 from gsc_jax.scene import Array, Gaussians, InputError, invalid_rows
 from gsc_jax.scene.gaussians import usable_rows
@@ -87,11 +88,10 @@ def read_ply(path: str | Path, *, max_bytes: int | None = None) -> PlyScene:
     """Read a scene with the whole content of its file.
 
     Supported are the INRIA, gsplat, SuperSplat, GS-Checker and 2DGS layouts of degree 0 to 3, and
-    the other formats of `gsc_jax.io.compressed`. The file may be overwritten afterwards. Ascii
-    is slow: more than a minute per million Gaussians.
+    those of `gsc_jax.io.compressed`. The file may be overwritten afterwards. Ascii is very slow.
 
     Args:
-        path: A .ply, .compressed.ply, .spz, .sog, .splat, .ksplat or .glb file.
+        path: A .ply, .compressed.ply, .spz, .sog, .splat, .ksplat or .glb, or a SOG folder.
         max_bytes: Memory that may be allocated; see `memory_limit` for the default.
 
     Returns:
@@ -101,8 +101,8 @@ def read_ply(path: str | Path, *, max_bytes: int | None = None) -> PlyScene:
         InputError: If the file is missing, not a PLY or damaged, lacks properties, holds no
             Gaussian that can be rendered, or takes more memory.
     """
-    path = existing_file(path, expected="a scene (.ply)")
-    if path.suffix.lower() in compressed.SUFFIXES:
+    path = sog_folder(path) or existing_file(path, expected="a scene (.ply)")
+    if path.is_dir() or path.suffix.lower() in compressed.SUFFIXES:
         return _scene(encode(compressed.read_compressed(path, max_bytes)), path)
     ply = _parse(path, max_bytes)
     if compressed.is_compressed_ply(ply, path):
@@ -114,7 +114,7 @@ def load_ply(path: str | Path, *, max_bytes: int | None = None) -> Gaussians:
     """Read the Gaussians of a scene and warn in one line if rows were left out.
 
     Args:
-        path: A .ply, .compressed.ply, .spz, .sog, .splat, .ksplat or .glb file.
+        path: A .ply, .compressed.ply, .spz, .sog, .splat, .ksplat or .glb, or a SOG folder.
         max_bytes: Memory that may be allocated; see `memory_limit` for the default.
 
     Returns:

@@ -17,6 +17,7 @@ from gsc_jax.io.files import check_allocation
 from gsc_jax.io.tables import BYTES_PER_CHARACTER
 from gsc_jax.render.spherical_harmonics import Y0
 from gsc_jax.scene import Gaussians
+from gsc_jax.scene.gaussians import concatenate
 
 LEVELS = 255
 SPLAT = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)])
@@ -51,18 +52,15 @@ def read_ksplat(path: Path, _: int | None = None) -> Gaussians:
     at, parts = KSPLAT_HEADER.itemsize + sections * KSPLAT_SECTION.itemsize, []
     bounds = low or -DEFAULT_BOUND, high or DEFAULT_BOUND
     for section in np.frombuffer(data, KSPLAT_SECTION, sections, KSPLAT_HEADER.itemsize).tolist():
-        columns, at = _ksplat_section(data, level, bounds, section, at)
-        parts.append(columns)
-    bands = max(part[-1].shape[1] for part in parts)
-    for part in parts:
-        part[-1] = np.pad(part[-1], ((0, 0), (0, bands - part[-1].shape[1]), (0, 0)))
-    return _gaussians(*map(np.concatenate, zip(*parts, strict=True)))
+        part, at = _ksplat_section(data, level, bounds, section, at)
+        parts.append(part)
+    return concatenate(parts)
 
 
 def _ksplat_section(
     data: bytes, level: int, bounds: tuple[float, float], section: tuple[Any, ...], at: int
-) -> tuple[list[np.ndarray], int]:
-    """Decode the section that begins at byte `at`: its columns, and the byte behind its end."""
+) -> tuple[Gaussians, int]:
+    """Decode the section that begins at byte `at`, and return the byte behind its end."""
     count, in_bucket, buckets, block, steps, full, partial, degree, _ = section
     if degree > 2 or full > buckets:
         raise ValueError(f"degree {degree}, {full} of {buckets} buckets full")
@@ -87,7 +85,8 @@ def _ksplat_section(
     for band in range(1, degree + 1):  # of a band, first all numbers of red
         part = values[:, 3 * band**2 - 3 : 3 * (band + 1) ** 2 - 3]
         sh.append(part.reshape(count, 3, 2 * band + 1).transpose(0, 2, 1))
-    return [means, scales, quats, shares[:, 3:], np.concatenate(sh, axis=1)], at + rows.nbytes
+    part = _gaussians(means, scales, quats, shares[:, 3:], np.concatenate(sh, axis=1))
+    return part, at + rows.nbytes
 
 
 def read_glb(path: Path, max_bytes: int | None = None) -> Gaussians:
@@ -108,13 +107,13 @@ def read_glb(path: Path, max_bytes: int | None = None) -> Gaussians:
     if len(found) > 1 and any(PLACES & set(node) for node in tree.get("nodes", [])):
         raise ValueError("several primitives, and nodes that move them")
     parts = [_gltf_primitive(tree, binary, primitive["attributes"]) for primitive in found]
-    return _gaussians(*map(np.concatenate, zip(*parts, strict=True)))
+    return concatenate(parts)
 
 
 def _gltf_primitive(
     tree: dict[str, Any], binary: bytes, attributes: Mapping[str, int]
-) -> tuple[np.ndarray, ...]:
-    """Means, scales, rotations, opacities and harmonics of one primitive of the file."""
+) -> Gaussians:
+    """The Gaussians of one primitive of the file."""
 
     def column(name: str) -> np.ndarray:
         return _accessor(tree, binary, tree["accessors"][attributes[name]])
@@ -125,7 +124,7 @@ def _gltf_primitive(
     columns = column("POSITION"), column(f"{GLTF}:SCALE"), quats, opacities, sh
     if len(set(map(len, columns))) > 1:
         raise ValueError("columns of different lengths")
-    return columns
+    return _gaussians(*columns)
 
 
 def _accessor(tree: dict[str, Any], binary: bytes, accessor: dict[str, Any]) -> np.ndarray:

@@ -4,6 +4,9 @@ Parameters are named by their space: a .ply file stores `log_scales`, `logit_opa
 quaternions of any length; the equations use the properties `scales`, `opacities` and `rotations`.
 """
 
+import dataclasses
+from collections.abc import Sequence
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -71,9 +74,23 @@ class Gaussians:
         """Degree of the spherical harmonics, 0 to 3."""
         return round(self.sh.shape[1] ** 0.5) - 1
 
-    def take(self, rows: Array) -> "Gaussians":
-        """Select rows by indices or by a boolean mask."""
+    def take(self, rows: Array | slice) -> "Gaussians":
+        """Select rows by indices, a slice or a boolean mask."""
         return jax.tree.map(lambda leaf: leaf[rows], self)
+
+
+def with_degree(gaussians: Gaussians, degree: int) -> Gaussians:
+    """Truncate or zero-pad spherical harmonics to a degree."""
+    bands, sh = (degree + 1) ** 2, np.asarray(gaussians.sh)[:, : (degree + 1) ** 2]
+    padded = np.pad(sh, ((0, 0), (0, bands - sh.shape[1]), (0, 0)))
+    return dataclasses.replace(gaussians, sh=padded)
+
+
+def concatenate(scenes: Sequence[Gaussians]) -> Gaussians:
+    """Concatenate scenes, of the highest degree of them."""
+    degree = max(scene.sh_degree for scene in scenes)
+    parts = [with_degree(scene, degree) for scene in scenes]
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
 
 
 def transparent_rows(count: int) -> int:

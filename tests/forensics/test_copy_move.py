@@ -7,9 +7,9 @@ from forensics_cases import assert_matches, central_rows, detected, room, with_c
 from scipy.spatial import KDTree
 
 from gsc_jax.benchmark.incorporation import transformed
-from gsc_jax.benchmark.scenes import concatenate
 from gsc_jax.forensics.copy_move import copy_move
 from gsc_jax.scene import Gaussians
+from gsc_jax.scene.gaussians import concatenate
 
 PART = central_rows(room())
 

@@ -188,6 +188,27 @@ def _make_sog(rng: Random | None, folder: Path) -> Path:
     return path
 
 
+def _make_streamed(rng: Random | None, folder: Path) -> Path:
+    """A streamed scene of one chunk."""
+    lods = {"0": {"file": 0, "offset": 0, "count": COUNT}}
+    tree: Any = {"bound": {"min": [0] * 3, "max": [1] * 3}, "children": [{"lods": lods}]}
+    index = {"version": 1, "lodLevels": 1, "filenames": ["0_0/meta.json"], "tree": tree}
+    path, damage = (
+        folder / "streamed",
+        "" if rng is None else rng.choice(("index", "index", "meta")),
+    )
+    (path / "0_0").mkdir(parents=True, exist_ok=True)
+    for name, data in _sog_images().items():
+        (path / "0_0" / name).write_bytes(data)
+    for kind, name, tree in (
+        ("index", "lod-meta.json", index),
+        ("meta", "0_0/meta.json", _sog_meta()),
+    ):
+        text = json_text(rng, damaged_tree(rng, tree)) if rng and kind == damage else ""
+        (path / name).write_bytes((text or json.dumps(tree)).encode("utf-8", "replace"))
+    return path
+
+
 def _check_sog(path: Path) -> None:
     """Without the decoder of the images, which the extra installs, only what precedes it."""
     try:
@@ -532,6 +553,7 @@ _FORMATS = (
     _file("ply-compressed", "s.ply", _compressed_seeds, _damaged_header, _check_scene),
     Format(name="spz", make=_make_spz, read=_check_scene),
     Format(name="sog", make=_make_sog, read=_check_sog),
+    Format(name="streamed", make=_make_streamed, read=_check_sog),
     _file("splat", "s.splat", _splats, damaged_bytes, _check_scene),
     _file("ksplat", "s.ksplat", _ksplats, _damaged_ksplat, _check_scene),
     Format(name="glb", make=_make_glb, read=_check_scene),

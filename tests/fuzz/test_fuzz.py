@@ -31,7 +31,8 @@ def test_an_input_is_a_function_of_format_seed_and_index(tmp_path, name):
             folder = tmp_path / f"{repetition}-{seed}-{index}"
             folder.mkdir()
             FORMATS[name].make(harness.input_rng(FORMATS[name], seed, index), folder)
-            contents.append({path.name: path.read_bytes() for path in folder.iterdir()})
+            files = (path for path in folder.rglob("*") if path.is_file())
+            contents.append({str(p.relative_to(folder)): p.read_bytes() for p in files})
     assert contents[:3] == contents[3:]
     assert len({str(content) for content in contents[:3]}) == 3
 

@@ -1,0 +1,138 @@
+"""SOG of PlayCanvas: a .sog bundle, a folder of its files, or the folder of a streamed scene.
+
+A streamed scene has an index whose tree names rows of SOG folders for each level of detail. Level
+0, the finest, is read, and the environment, which all levels share.
+https://developer.playcanvas.com/user-manual/gaussian-splatting/formats/streamed-sog/
+"""
+
+import io
+import json
+import zipfile
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from gsc_jax.io.files import check_allocation, existing_file
+from gsc_jax.io.tables import BYTES_PER_CHARACTER, read_table
+from gsc_jax.scene import Gaussians, InputError
+from gsc_jax.scene.gaussians import concatenate
+
+META, INDEX = "meta.json", "lod-meta.json"
+FINEST = "0"
+BYTES_PER_PIXEL = 80
+"""Memory per pixel of the images of a SOG: the pixels, and the Gaussian that they describe."""
+TABLES = {
+    "scales": {"codebook": 256, "mins": 3, "maxs": 3},
+    "sh0": {"codebook": 256, "mins": 4, "maxs": 4},
+    "shN": {"codebook": 256},
+}
+"""Lengths of tables in the meta.json of a SOG, of version 2 and of the one before."""
+
+
+def sog_folder(path: str | Path) -> Path | None:
+    """The path if it is the folder of a scene, streamed or not; None elsewhere.
+
+    The meta.json in it raises InputError: a digest of that file would not be one of the scene.
+    """
+    path = Path(path)
+    if path.name in (INDEX, META) and path.is_file():
+        raise InputError(f"{path}: lists the files of a SOG; name the folder {path.parent}")
+    return path if any((path / name).is_file() for name in (INDEX, META)) else None
+
+
+def read_sog(path: Path, decode: Callable[[bytes], Gaussians], max_bytes: int | None) -> Gaussians:
+    """Read all Gaussians; `decode` reads a checked bundle. ValueError or KeyError if damaged."""
+    if (path / INDEX).is_file():
+        return _read_streamed(path, decode, max_bytes)
+    data = _bundle(path, max_bytes) if path.is_dir() else path.read_bytes()
+    _check_bundle(data, path, max_bytes)
+    return decode(data)
+
+
+def _read_streamed(
+    folder: Path, decode: Callable[[bytes], Gaussians], max_bytes: int | None
+) -> Gaussians:
+    index = read_table(folder / INDEX, remedy="export the scene again", max_bytes=max_bytes)
+    ranges, nodes = defaultdict(list), [index["tree"]]
+    while nodes:
+        node = nodes.pop()
+        nodes += node.get("children", [])
+        if part := node.get("lods", {}).get(FINEST):
+            ranges[index["filenames"][part["file"]]].append((part["offset"], part["count"]))
+    if environment := index.get("environment"):
+        ranges[environment] = [(0, None)]
+    parts, needed = [], 0
+    for name, places in ranges.items():
+        data = _bundle(_chunk(folder, name), max_bytes)
+        _check_bundle(data, folder / name, max_bytes)
+        chunk = decode(data)
+        needed += 2 * sum(leaf.nbytes for leaf in jax.tree.leaves(chunk))
+        check_allocation(folder, needed, max_bytes)
+        parts += _rows(chunk, places, name)
+    return concatenate(parts)
+
+
+def _rows(chunk: Gaussians, places: list[tuple[int, int | None]], name: str) -> Iterator[Gaussians]:
+    """The rows of each place, an offset and a count, of which None is all of the rest."""
+    end = 0
+    for start, count in sorted(places):
+        stop = len(chunk) if count is None else start + count
+        if not end <= start <= stop <= len(chunk):
+            raise ValueError(f"no rows {start} to {stop} in {name}, or they belong to two nodes")
+        end = stop
+        yield chunk.take(np.s_[start:stop])
+
+
+def _chunk(folder: Path, name: str) -> Path:
+    """The folder of a meta.json that an index names, inside its own: it may be a stranger's."""
+    path = folder / name
+    if path.name != META or not path.resolve().is_relative_to(folder.resolve()):
+        raise ValueError(f"{name} is not a {META} inside the folder")
+    return path.parent
+
+
+def _bundle(folder: Path, max_bytes: int | None) -> bytes:
+    """The bundle of a folder of a meta.json and its images."""
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w") as archive:
+        for path in (folder / META, *sorted(folder.glob("*.webp"))):
+            size = existing_file(path, expected="a part of a SOG").stat().st_size
+            check_allocation(folder, 2 * (stream.tell() + size), max_bytes)
+            archive.write(path, path.name)
+    return stream.getvalue()
+
+
+def _check_bundle(data: bytes, path: Path, max_bytes: int | None) -> None:
+    """Check the sizes of the entries and images of a SOG, and the tables that gsply indexes."""
+    from PIL import Image
+
+    needed = 0
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        entries = {entry.filename: entry for entry in archive.infolist()}
+        if len(entries) < len(archive.infolist()):
+            raise ValueError("two entries of the same name")
+        for name, entry in entries.items():
+            if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+                raise ValueError(f"{name} is compressed in an unusual way")
+            needed += (BYTES_PER_CHARACTER if name == META else 1) * entry.file_size
+            check_allocation(path, needed, max_bytes)
+            if name != META:
+                with archive.open(entry) as file, Image.open(file, formats=["WEBP"]) as image:
+                    needed += BYTES_PER_PIXEL * image.width * image.height
+        check_allocation(path, needed, max_bytes)
+        _check_tables(json.loads(archive.read(META)))
+
+
+def _check_tables(meta: dict[str, Any]) -> None:
+    """Refuse tables of another length than that for which gsply reads them without a check."""
+    for attribute, lengths in TABLES.items():
+        for table, length in lengths.items():
+            found = len(meta.get(attribute, {}).get(table, range(length)))
+            if found != length:
+                raise ValueError(f"{attribute}.{table} has {found} entries, expected {length}")
+    if not meta.get("count", 1) > 0:
+        raise ValueError("no Gaussians")

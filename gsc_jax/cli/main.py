@@ -37,7 +37,7 @@ from gsc_jax.cli.tamper import run_tamper
 from gsc_jax.cli.verify import Verify, run_verify
 from gsc_jax.cli.viewer.server import run_view
 from gsc_jax.evidence.monitor import Monitor
-from gsc_jax.io.validation import printable
+from gsc_jax.io.validation import printable, suggestion
 from gsc_jax.render.up import AXES
 from gsc_jax.scene import InputError
 
@@ -58,6 +58,7 @@ Find the tampered Gaussians in a 3D Gaussian Splatting model (GS-Checker, in JAX
 
 start with:
   gsc-jax demo --out demo
+  gsc-jax --version
 
 units: those of the scene for lengths, pixels for sizes
 
@@ -114,6 +115,8 @@ def parse(argv: Sequence[str]) -> Command:
 
 def _parse(argv: Sequence[str], default: Locate | None = None) -> Any:
     """Parse with tyro, which prints help and its own errors."""
+    if argv and not argv[0].startswith("-") and argv[0] not in COMMANDS:
+        raise InputError(f"{argv[0]}: no such command{suggestion(argv[0], [*COMMANDS])}")
     brief = not any(word in COMMANDS for word in argv)  # the list of commands: a line each
     kinds = []
     for name, kind in COMMANDS.items():

@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy.spatial import KDTree
 
-from gsc_jax.forensics.traces import Trace, make_trace, region_scores
+from gsc_jax.forensics.traces import MIN_REGION, Trace, make_trace, region_scores
 from gsc_jax.scene import Gaussians
 from gsc_jax.scene.neighbours import order_of_leaves
 from gsc_jax.scene.parallel import in_blocks, workers
@@ -51,7 +51,7 @@ def copy_move(
         moves = np.maximum(*(moved_together(means, neighbours, rows) for rows in (alike, similar)))
     scores = functools.partial(region_scores, min_share=0.6, min_outside=0.6)
     score = scores(moves > 0, neighbours)
-    moves[_clones(score > 0.5, moves > MAX_SPREAD, neighbours)] = 0
+    moves[_coincidences(score > 0.5, moves > MAX_SPREAD, neighbours)] = 0
     score = scores(moves > 0, neighbours)
     found = "occur again elsewhere; where two whole parts are alike, either may be the copy"
     return make_trace("copy-move", score, found, "No part of the scene occurs in it again.")
@@ -80,8 +80,8 @@ def moved_together(means: np.ndarray, neighbours: np.ndarray, duplicates: np.nda
     return np.where(has, moves, 0)
 
 
-def _clones(marked: np.ndarray, far: np.ndarray, neighbours: np.ndarray) -> np.ndarray:
-    """Marked Gaussians of connected parts of which too few were moved far, shape (N,) bool."""
+def _coincidences(marked: np.ndarray, far: np.ndarray, neighbours: np.ndarray) -> np.ndarray:
+    """Marked Gaussians of connected parts that are small, or hardly moved, shape (N,) bool."""
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import connected_components
 
@@ -92,10 +92,10 @@ def _clones(marked: np.ndarray, far: np.ndarray, neighbours: np.ndarray) -> np.n
     edges = first, place[neighbours[rows[first], last]]
     graph = csr_array((np.ones(len(first), bool), edges), shape=(len(rows), len(rows)))
     part = connected_components(graph, directed=False)[1]
-    share = np.bincount(part, far[rows]) / np.maximum(np.bincount(part), 1)
-    clones = np.zeros(len(marked), bool)
-    clones[rows] = share[part] < MIN_FAR_SHARE
-    return clones
+    size, moved_far = np.bincount(part), np.bincount(part, far[rows])
+    chance = np.zeros(len(marked), bool)
+    chance[rows] = ((size < MIN_REGION) | (moved_far < MIN_FAR_SHARE * size))[part]
+    return chance
 
 
 def nearest_duplicates(gaussians: Gaussians) -> tuple[np.ndarray, np.ndarray]:

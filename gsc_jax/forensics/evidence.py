@@ -26,6 +26,7 @@ from gsc_jax.scene.gaussians import usable_rows
 from gsc_jax.scene.neighbours import order_of_leaves
 from gsc_jax.scene.pytree import short_repr
 
+TOO_FEW = "There are too few valid Gaussians for forensic features; none is scored."
 LOCAL_TRACES = quantisation, sh_degree, quaternion_convention
 """Traces that are functions of N Gaussians with finite values and of their neighbours (N, K)."""
 
@@ -161,17 +162,5 @@ def estimate_from_attributes(
         labels=labels,
         attribute=relative.astype(np.float32),
         verdict=evidence.verdict,
-        warnings=_warnings(evidence, labels),
+        warnings=[] if evidence.known.any() else [TOO_FEW],
     )
-
-
-def _warnings(evidence: ForensicEvidence, labels: np.ndarray) -> list[str]:
-    if not evidence.known.any():
-        return ["There are too few valid Gaussians for forensic features; none is scored."]
-    if not labels.any():
-        return ["The attributes of the Gaussians show no evidence of an edit."]
-    if evidence.verdict >= 0.5:
-        return []
-    return [
-        "The labelled Gaussians differ most from the rest, but the scene is probably authentic."
-    ]

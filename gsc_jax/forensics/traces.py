@@ -17,7 +17,7 @@ from gsc_jax.scene import Gaussians
 NEIGHBOURS = 12
 """Neighbours that decide about a region: fewer give ragged regions, more blur small edits."""
 MIN_REGION = 32
-"""Gaussians of the smallest region: a smaller one may be a coincidence."""
+"""Gaussians of the smallest region: a smaller one may be a coincidence (copies: 19 in a .splat)."""
 MAX_REGION_SHARE = 0.5
 """Share of the scene above which marks are the rule and not the exception."""
 MAX_OUTSIDE_RATE = 0.05
@@ -115,7 +115,9 @@ def sh_degree(gaussians: Gaussians, neighbours: np.ndarray) -> Trace:
     usual = int(np.argmax(np.bincount(degrees, minlength=1)))
     score = region_scores(degrees != usual, neighbours)
     found = f"have harmonics that do not end at degree {usual} as those of the others do"
-    return make_trace("sh-degree", score, found, "The harmonics end at the same degree everywhere.")
+    absent = "The harmonics end at the same degree everywhere."
+    absent = absent if gaussians.sh_degree else "The file holds no view-dependent colour."
+    return make_trace("sh-degree", score, found, absent)
 
 
 def quaternion_convention(gaussians: Gaussians, neighbours: np.ndarray) -> Trace:

@@ -44,6 +44,9 @@ def read_compressed(path: Path, max_bytes: int | None = None) -> Gaussians:
     kind = path.suffix.lower()
     if path.is_file():
         check_allocation(path, BYTES_PER_BYTE * path.stat().st_size, max_bytes)
+        with path.open("rb") as file:
+            if file.read(4) in (b"ply\n", b"ply\r") and kind in SUFFIXES:
+                raise InputError(f"{path}: is a PLY file; rename it to {path.stem}.ply")
     gsply = None if kind in READERS else _gsply(path)
     with reported(f"{path}: damaged or unknown", f"; {_conversion(path)}"):
         if gsply is None:

@@ -34,7 +34,7 @@ def one_line(
     first = problems[0]
     key, found = _located(first["loc"], given)
     if first["type"] in UNKNOWN_KEY:
-        return f"{where}: unknown key {shown(key)}{_suggestion(str(first['loc'][-1]), list(known))}"
+        return f"{where}: unknown key {shown(key)}{suggestion(str(first['loc'][-1]), list(known))}"
     name = f"{where}: {key}" if key else where
     if first["type"].startswith("missing"):
         last, short = first["loc"][-1], f"expected more values, found {shown(found)}"
@@ -103,7 +103,8 @@ def _reason(message: str) -> str:
     return message.removeprefix("Value error, ").replace("Input should be", "expected", 1)
 
 
-def _suggestion(key: str, known: list[str]) -> str:
+def suggestion(key: str, known: list[str]) -> str:
+    """What a mistyped key may mean, or all that are known, as the end of a sentence."""
     close = difflib.get_close_matches(key.lower(), known, n=1)
     if close:
         return f" (did you mean {close[0]!r}?)"

@@ -37,6 +37,8 @@ PLACES = {"matrix", "translation", "rotation", "scale"}
 
 def read_splat(path: Path, _: int | None = None) -> Gaussians:
     """Read all rows of a .splat file, NumPy float32; ValueError if it is cut short."""
+    if path.stat().st_size % SPLAT.itemsize:
+        raise ValueError(f"no whole number of rows of {SPLAT.itemsize} bytes; is it cut off?")
     rows = np.frombuffer(path.read_bytes(), SPLAT)
     quats, shares = (rows["quat"] - np.float32(128)) / 128, rows["rgba"] / np.float32(LEVELS)
     sh = (shares[:, None, :3] - 0.5) / Y0

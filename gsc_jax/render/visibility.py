@@ -18,6 +18,9 @@ MAX_POINTS = 20_000
 MIN_SHARE, LOW_SHARE = 0.01, 0.1
 """Shares of the Gaussians, seen by all cameras together, below which the check fails or warns; the
 cameras of a real capture see most of its scene."""
+MAX_BLIND = 1 / 3
+"""Share of cameras that see almost nothing: 0 in five captures, 2/3 and more with cameras of
+another one whose scene has another size."""
 
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 CONVENTIONS = {
@@ -64,11 +67,15 @@ def check_views(
         warnings.append(_near_message(depths, near))
     if share < LOW_SHARE:
         warnings.append(f"the cameras together see only {share:.1%} of the Gaussians")
-    blind = [camera.name for camera, row in zip(cameras, depths, strict=True) if not row.any()]
+    seeing = (depths > 0).mean(axis=1) >= MIN_SHARE
+    blind = [camera.name for camera, sees in zip(cameras, seeing, strict=True) if not sees]
     if blind:
         names = ", ".join(blind[:5]) + (", ..." if len(blind) > 5 else "")
         advice = _better_convention(points, cameras)
-        warnings.append(f"{len(blind)} of {len(cameras)} cameras see nothing: {names}{advice}")
+        advice = advice or NO_CONVENTION * (len(blind) > MAX_BLIND * len(cameras))
+        warnings.append(
+            f"{len(blind)} of {len(cameras)} cameras see nothing or almost nothing: {names}{advice}"
+        )
     return warnings
 
 

@@ -111,7 +111,14 @@ def test_unparsable_options(case, changes, expected):
 
 def test_unparsable_commands(case):
     assert "locate" in unparsable()
-    assert "find" in unparsable("find")
+    for word, hint in (
+        ("loacte", "did you mean 'locate'"),
+        ("xyz", "expected one of locate, scan"),
+    ):
+        answer = run(word, "scene.ply")
+        assert answer.code == 2
+        assert answer.err.startswith(f"gsc-jax: {word}: no such command")
+        assert hint in answer.err
     assert "--out" in unparsable(*given(case))
 
 
@@ -235,6 +242,7 @@ def test_the_help_of_the_program_lists_the_commands(monkeypatch):
     assert len(text.splitlines()) < 40
     assert "130 interrupted" in text
     assert all(f"• {name} " in text for name in cli.COMMANDS)
+    assert "gsc-jax --version" in text
     assert "for example" not in text
 
 

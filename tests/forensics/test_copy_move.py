@@ -64,6 +64,17 @@ def test_clones_beside_a_copied_region_are_not_marked():
     assert not score[len(room()) + len(PART) :].any()
 
 
+def test_small_parts_are_coincidences():
+    """Several small parts together have as many Gaussians as a region; a .splat had such parts."""
+    means = np.asarray(room().means)
+    seeds = np.random.default_rng(3).choice(len(means), 8, replace=False)
+    parts = [np.argsort(np.linalg.norm(means - means[seed], axis=1))[:16] for seed in seeds]
+    edited = room()
+    for part in parts:
+        edited = with_copy(edited, part)
+    assert not detected(copy_move, edited).found
+
+
 def far_part() -> Gaussians:
     """A compact part of the room that is not the copied one."""
     means = np.asarray(room().means)

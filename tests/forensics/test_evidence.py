@@ -106,14 +106,7 @@ def test_thresholds_of_scores_are_exclusive_and_that_of_the_scene_is_inclusive()
     assert finding.labels.tolist() == [False, False, True]
     assert finding.warnings == []
     above = np.nextafter(evidence.verdict, 1)
-    (warning,) = estimate_from_attributes(evidence, min_verdict=above).warnings
-    assert "no evidence" in warning
-
-
-def test_labels_in_a_probably_authentic_scene_are_a_warning():
-    finding = estimate_from_attributes(evidence_of([BASE, 0.0, PEAK], 0.4))
-    assert finding.labels.any()
-    assert ["probably authentic" in warning for warning in finding.warnings] == [True]
+    assert not estimate_from_attributes(evidence, min_verdict=above).labels.any()
 
 
 @pytest.mark.parametrize("edited", [400, 5_000])
@@ -235,9 +228,8 @@ def test_the_ends_of_the_unit_interval_are_valid_thresholds():
     assert not estimate_from_attributes(evidence, min_verdict=1.0).labels.any()
 
 
-def test_what_is_unknown_and_what_is_not_found_are_different_warnings():
+def test_too_few_gaussians_are_a_warning_and_an_outcome_is_none():
     few = forensic_evidence(SAVED.take(np.arange(5)))
     (warning,) = estimate_from_attributes(few).warnings
     assert "too few valid Gaussians" in warning
-    (warning,) = estimate_from_attributes(evidence_of([BASE] * 3, 0.5), threshold=1.0).warnings
-    assert "no evidence of an edit" in warning
+    assert not estimate_from_attributes(evidence_of([BASE] * 3, 0.5), threshold=1.0).warnings

@@ -56,6 +56,12 @@ def test_cameras_json_takes_precedence_and_other_sets_exclude_each_other(tmp_pat
     assert len(load_cameras(tmp_path)) == 3
 
 
+def test_the_views_of_a_result_are_cameras(tmp_path):
+    save_cameras(tmp_path / "views.json", [random_camera(i, name=str(i)) for i in range(2)])
+    assert camera_files(tmp_path) == [tmp_path / "views.json"]
+    assert len(load_cameras(tmp_path)) == 2
+
+
 def test_duplicate_names_are_refused(tmp_path):
     write_json(tmp_path / "cameras.json", [inria_item(random_camera(i)) for i in range(2)])
     with pytest.raises(InputError, match=r"cameras\.json: cameras 0 and 1 .*'a/b\.c\.png'"):

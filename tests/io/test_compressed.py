@@ -86,6 +86,22 @@ def test_unreadable_files_are_refused_with_a_command_that_converts(tmp_path, nam
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize("suffix", [".splat", ".ksplat", ".spz", ".sog", ".glb"])
+def test_a_ply_of_another_name_is_not_read_as_its_suffix_says(tmp_path, suffix):
+    save_ply(tmp_path / "scene.ply", random_scene(7))
+    data = (tmp_path / "scene.ply").read_bytes()
+    path = tmp_path / f"scene{suffix}"
+    path.write_bytes(data + bytes(-len(data) % 32))  # as many bytes as rows of a .splat
+    with pytest.raises(InputError, match=rf"scene{suffix}: is a PLY file; rename it to scene\.ply"):
+        read_ply(path)
+
+
+def test_a_splat_that_is_cut_off_is_said_to_be(tmp_path):
+    (tmp_path / "scene.splat").write_bytes(bytes(33))
+    with pytest.raises(InputError, match="no whole number of rows of 32 bytes; is it cut off"):
+        read_ply(tmp_path / "scene.splat")
+
+
 def test_gsply_is_imported_for_compressed_scenes_only(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "gsply", None)
     (tmp_path / "scene.spz").write_bytes(b"")

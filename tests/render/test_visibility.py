@@ -68,6 +68,18 @@ def test_blind_cameras_a_low_share_and_a_far_near_plane_give_warnings():
     (warning,) = check_views(scene, cameras)
     assert warning.startswith("2 of 10")
     assert "orbit_003, orbit_004" in warning
+    assert "belong together" not in warning
+
+
+def test_many_blind_cameras_are_said_to_be_of_another_scene():
+    """Some cameras stand in the small scene and see all of it, as with those of a larger one."""
+    scene, cameras = ball(), orbit_cameras(ball(), 10)
+    away = np.diag([1.0, 1, 1, 1])
+    away[1, 3] = 1000.0
+    cameras[:4] = converted(cameras[:4], lambda viewmat: away @ viewmat)
+    (warning,) = check_views(scene, cameras)
+    assert warning.startswith("4 of 10")
+    assert "belong together" in warning
 
 
 def test_scales_that_are_not_logarithms_give_a_warning():

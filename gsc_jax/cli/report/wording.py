@@ -39,7 +39,7 @@ RELIABILITY: dict[Reliability, tuple[str, str, str]] = {
 """Sign, name and explanation of each reliability of a mask, the most useful first."""
 TRACES = {
     "copy-move": "A copy of a part of a scene, for example in a hole, has the same stored values.",
-    "quantisation": "A file saved with few digits holds rounded values; others were added later.",
+    "quantisation": "Rounded and other values come from two files; a large part may be the first.",
     "sh-degree": "Gaussians of another degree of spherical harmonics come from another model.",
     "row-order": "Training stores no spatial order; an appended object occupies consecutive rows.",
     "quaternion-convention": "Rotations in another convention were written by another program.",
@@ -50,12 +50,18 @@ HEADLINES: dict[Outcome, str] = {
     "inconclusive": "Inconclusive: it is unclear whether this scene was edited.",
     "none": "No evidence of editing.",
 }
-RATES: dict[bool, dict[Outcome, tuple[float, float]]] = {
-    True: {"evidence": (0.05, 0.87), "inconclusive": (0.18, 0.11), "none": (0.77, 0.02)},
-    False: {"evidence": (0.0, 0.04), "inconclusive": (0.15, 0.27), "none": (0.85, 0.69)},
+COUNTS: dict[bool, dict[Outcome, tuple[int, int]]] = {
+    True: {"evidence": (3, 91), "inconclusive": (11, 12), "none": (46, 2)},
+    False: {"evidence": (0, 3), "inconclusive": (4, 22), "none": (23, 56)},
 }
-"""Shares of the authentic and of the edited test scenes with each outcome, with masks
-(docs/calibration.csv) and by the attributes alone (docs/heldout.csv)."""
+"""How many authentic and edited test scenes had each outcome, with masks (docs/calibration.csv) and
+by the attributes alone (docs/heldout.csv)."""
+TESTS = {
+    True: "with simulated masks",
+    False: "of the attributes alone, in files exported again after the edit",
+}
+MIN_RATIO = 3
+"""Ratio of the shares of edited and authentic scenes below which an outcome says little."""
 ROUNDED_SHARE = 0.0005
 """Shares closer to 0 or 1 are shown as a bound: one decimal of a percentage would hide them."""
 
@@ -87,12 +93,19 @@ def meaning(verdict: float, *, masks: bool) -> str:
     """How often authentic and edited test scenes have this outcome, with masks or without."""
     found = outcome(verdict)
     assert found is not None
-    authentic, edited = RATES[masks][found]
-    source = "with simulated masks" if masks else "by the attributes alone"
+    counts, totals = COUNTS[masks][found], _totals(masks)
+    authentic, edited = (count / total for count, total in zip(counts, totals, strict=True))
+    weak = max(authentic, edited) < MIN_RATIO * min(authentic, edited)
     return (
-        f"In tests {source}, {authentic:.0%} of the authentic and {edited:.0%} of the edited "
-        "scenes came out like this."
+        f"In tests {TESTS[masks]}, {counts[0]} of {totals[0]} authentic and {counts[1]} of "
+        f"{totals[1]} edited scenes came out like this"
+        f"{': on its own, it says little about whether a scene was edited' if weak else ''}."
     )
+
+
+def _totals(masks: bool) -> list[int]:
+    """Numbers of authentic and of edited test scenes."""
+    return [sum(counts) for counts in zip(*COUNTS[masks].values(), strict=True)]
 
 
 def conflict(result: Result) -> str | None:
@@ -100,9 +113,10 @@ def conflict(result: Result) -> str | None:
     prior = result.prior.verdict if result.prior and result.probabilities else None
     if prior is None or outcome(prior) != "none" or outcome(result.verdict) != "evidence":
         return None
+    missed, tested = COUNTS[False]["none"][1], _totals(False)[1]
     return (
         f"The masks show an edit, the attributes of the Gaussians alone do not "
-        f"({percent(prior)}); they miss {RATES[False]['none'][1]:.0%} of edits."
+        f"({percent(prior)}); in tests, they missed {missed} of {tested} edits."
     )
 
 

@@ -53,11 +53,19 @@ def test_the_rates_of_the_outcomes_are_those_of_the_tables():
     tables[False] = tables[False].drop_duplicates(["host", "edit", "seed"])
     for masks, rows in tables.items():
         found = rows.verdict.map(outcome)
-        for name, rates in wording.RATES[masks].items():
-            shares = [
-                (found[rows.edit.eq("none") == kind] == name).mean() for kind in (True, False)
-            ]
-            assert rates == pytest.approx(shares, abs=0.006)
+        for name, counts in wording.COUNTS[masks].items():
+            kinds = (rows.edit.eq("none"), rows.edit.ne("none"))
+            assert counts == tuple((found[kind] == name).sum() for kind in kinds)
+
+
+@pytest.mark.parametrize(
+    ("verdict", "masks", "weak"),
+    [(0.01, False, True), (0.4, False, True), (0.9, False, False), (0.01, True, False)],
+)
+def test_an_outcome_of_most_scenes_is_said_to_say_little(verdict, masks, weak):
+    text = wording.meaning(verdict, masks=masks)
+    assert ("it says little" in text) == weak
+    assert " of 27 authentic and " in text or masks
 
 
 def test_numbers_are_rounded_to_bounds():

@@ -149,11 +149,9 @@ def fit(
         The attribute, shape (N,), and the info of all iterations.
     """
     config, attributes = resolved(config, len(order)), jnp.asarray(attributes)
-
-    def one_step(state: State, index: int) -> tuple[State, StepInfo]:
-        return _evidence_step(state, evidence.view(index), attributes, config)
-
-    return _iterate(one_step, r, order)
+    return _iterate(
+        lambda state, view: _evidence_step(state, evidence.view(view), attributes, config), r, order
+    )
 
 
 def fit_rendered(
@@ -170,11 +168,9 @@ def fit_rendered(
     iteration, so that only one view is in memory.
     """
     config, attributes = resolved(config, len(order)), jnp.asarray(attributes)
-
-    def one_step(state: State, index: int) -> tuple[State, StepInfo]:
-        return _rendered_step(state, *view_of(index), attributes, config)
-
-    return _iterate(one_step, r, order)
+    return _iterate(
+        lambda state, view: _rendered_step(state, *view_of(view), attributes, config), r, order
+    )
 
 
 def _iterate(

@@ -5,8 +5,6 @@ gradient where a group is empty; in the released code, the mean over an empty gr
 Attributes F have shape (A, N), because XLA on a CPU sums long rows much faster than short columns.
 """
 
-import functools
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -94,10 +92,8 @@ def direction(attributes: Array, groups: Partition, *, per_feature: bool = False
     mean_h, mean_l = (_masked_mean(attributes, group) for group in (groups.high, groups.low))
     terms = sim_difference(attributes, mean_h, mean_l)
     # Adding term by term is fused by XLA; its sum over so short an axis is slow on a CPU.
-    if per_feature:
-        u = functools.reduce(jnp.add, [jnp.sign(term) for term in terms]) / len(terms)
-    else:
-        u = jnp.sign(functools.reduce(jnp.add, terms))
+    signs = [jnp.sign(term) for term in terms]
+    u = sum(signs) / len(terms) if per_feature else jnp.sign(sum(terms))
     comparable = jnp.any(groups.high) & jnp.any(groups.low)
     return jnp.where(groups.middle & comparable, u, 0.0)
 

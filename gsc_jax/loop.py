@@ -92,8 +92,7 @@ def step(
 ) -> tuple[State, StepInfo]:
     """Update the attribute once, with the loss of one view (GS-Checker, eq. 11).
 
-    `view_loss` maps an attribute (N,) to the 2D loss of the view; the attributes F of the 3D loss
-    have shape (A, N).
+    `view_loss` maps an attribute (N,) to the 2D loss; the attributes F of the 3D loss are (A, N).
     """
     if config.contrastive_start is None:
         raise ValueError("contrastive_start must be an iteration; `fit` replaces None by half-way")

@@ -67,7 +67,6 @@ def sim(attributes: Array, mean: Array) -> jax.Array:
     """Compute sim_i = ||F_i - mean||^2 (GS-Checker, eq. 7), which is small for similar attributes.
 
     This is the definition; the loss uses `sim_difference`, which tests compare with it.
-
     The attributes F have shape (A, N), the mean over a group, F^h or F^l, has shape (A,).
     """
     return jnp.sum(jnp.square(attributes - mean[:, None]), axis=0)

@@ -13,8 +13,7 @@ Progress = Callable[[str, int, int], None]
 class Monitor:
     """Collect seconds and peak memory of each stage, and pass progress on.
 
-    Stages that run in several threads overlap: their seconds then add up to more than the wall
-    time.
+    Stages that run in threads overlap: their seconds then add up to more than the wall time.
 
     Args:
         progress: Called with (stage, done, total); None ignores progress.

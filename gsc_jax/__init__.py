@@ -24,10 +24,7 @@ def __dir__() -> list[str]:
 
 
 class _Package(types.ModuleType):
-    """Keep `gsc_jax.locate` and `gsc_jax.render` functions.
-
-    Importing the modules of the same names would replace them by these modules.
-    """
+    """Keep the functions `locate` and `render` when the modules of these names are imported."""
 
     def __setattr__(self, name: str, value: Any) -> None:
         if name not in __all__ or not isinstance(value, types.ModuleType):

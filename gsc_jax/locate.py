@@ -56,8 +56,7 @@ class Result:
         early_stopping: How many views were used and why; None if all were used regardless.
         prior: Prior of the method; None if it used none.
         estimator: The estimator with its configuration.
-        stages: Seconds and peak memory in MiB by stage. Stages overlap where views are processed
-            in threads.
+        stages: Seconds and peak memory in MiB by stage; stages that run in threads overlap.
         seconds: Wall time since the monitor was made.
         warnings: Sentences for the user.
     """

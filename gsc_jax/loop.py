@@ -92,8 +92,7 @@ def step(
 ) -> tuple[State, StepInfo]:
     """Update the attribute once, with the loss of one view (GS-Checker, eq. 11).
 
-    `view_loss` maps an attribute (N,) to the 2D loss of the view; the attributes F of the 3D loss
-    have shape (A, N).
+    `view_loss` maps an attribute (N,) to the 2D loss; the attributes F of the 3D loss are (A, N).
     """
     if config.contrastive_start is None:
         raise ValueError("contrastive_start must be an iteration; `fit` replaces None by half-way")
@@ -149,11 +148,9 @@ def fit(
         The attribute, shape (N,), and the info of all iterations.
     """
     config, attributes = resolved(config, len(order)), jnp.asarray(attributes)
-
-    def one_step(state: State, index: int) -> tuple[State, StepInfo]:
-        return _evidence_step(state, evidence.view(index), attributes, config)
-
-    return _iterate(one_step, r, order)
+    return _iterate(
+        lambda state, view: _evidence_step(state, evidence.view(view), attributes, config), r, order
+    )
 
 
 def fit_rendered(
@@ -170,11 +167,9 @@ def fit_rendered(
     iteration, so that only one view is in memory.
     """
     config, attributes = resolved(config, len(order)), jnp.asarray(attributes)
-
-    def one_step(state: State, index: int) -> tuple[State, StepInfo]:
-        return _rendered_step(state, *view_of(index), attributes, config)
-
-    return _iterate(one_step, r, order)
+    return _iterate(
+        lambda state, view: _rendered_step(state, *view_of(view), attributes, config), r, order
+    )
 
 
 def _iterate(

@@ -5,8 +5,6 @@ gradient where a group is empty; in the released code, the mean over an empty gr
 Attributes F have shape (A, N), because XLA on a CPU sums long rows much faster than short columns.
 """
 
-import functools
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -69,7 +67,6 @@ def sim(attributes: Array, mean: Array) -> jax.Array:
     """Compute sim_i = ||F_i - mean||^2 (GS-Checker, eq. 7), which is small for similar attributes.
 
     This is the definition; the loss uses `sim_difference`, which tests compare with it.
-
     The attributes F have shape (A, N), the mean over a group, F^h or F^l, has shape (A,).
     """
     return jnp.sum(jnp.square(attributes - mean[:, None]), axis=0)
@@ -94,10 +91,8 @@ def direction(attributes: Array, groups: Partition, *, per_feature: bool = False
     mean_h, mean_l = (_masked_mean(attributes, group) for group in (groups.high, groups.low))
     terms = sim_difference(attributes, mean_h, mean_l)
     # Adding term by term is fused by XLA; its sum over so short an axis is slow on a CPU.
-    if per_feature:
-        u = functools.reduce(jnp.add, [jnp.sign(term) for term in terms]) / len(terms)
-    else:
-        u = jnp.sign(functools.reduce(jnp.add, terms))
+    signs = [jnp.sign(term) for term in terms]
+    u = sum(signs) / len(terms) if per_feature else jnp.sign(sum(terms))
     comparable = jnp.any(groups.high) & jnp.any(groups.low)
     return jnp.where(groups.middle & comparable, u, 0.0)
 

@@ -284,8 +284,7 @@ def accumulate_maps(
         near: Near plane in world units.
 
     Returns:
-        Sums over the pixels, weighted by blending weight, shape (N, D); 0 for Gaussians that are
-        not visible.
+        Sums over the pixels by blending weight, shape (N, D); 0 for Gaussians that are not visible.
 
     Raises:
         ValueError: if the maps do not have the size of the image, or a value is not finite.

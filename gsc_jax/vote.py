@@ -57,10 +57,7 @@ def no_votes(count: int) -> Tally:
 
 
 def paper_consensus(counts: Tally) -> jax.Array:
-    """Initial attribute of the paper, shape (N,) float32 (GS-Checker, eq. 6).
-
-    It is the total T_i where more views vote tampered than authentic, else 0.
-    """
+    """Initial attribute, (N,) float32 (eq. 6): T_i if more vote tampered than authentic, else 0."""
     majority = counts.tampered > counts.authentic
     return jnp.where(majority, counts.tampered, 0).astype(jnp.float32)
 

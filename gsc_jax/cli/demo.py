@@ -21,7 +21,7 @@ from gsc_jax.cli.pictures import SHEET_ROWS, contact_sheet, overlay
 from gsc_jax.cli.scene_input import evenly_spaced
 from gsc_jax.cli.tamper import write_scene, write_views
 from gsc_jax.estimators import Method
-from gsc_jax.evidence.masks import Labelled, view_mask
+from gsc_jax.evidence.masks import view_mask
 from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.io.cameras import save_cameras
 from gsc_jax.io.masks import write_mask, write_probability
@@ -119,9 +119,8 @@ def _locate(given: Path, out: Path, name: str, seed: int, monitor: Monitor) -> R
 
 
 def _heldout_masks(made: MadeScene, result: Result) -> Views:
-    labels, rule = Labelled(result.tamper, result.labels), result.estimator.mask_rule
     return {
-        camera.name: view_mask(made.gaussians, camera, labels, rule=rule)
+        camera.name: view_mask(made.gaussians, camera, result, rule=result.estimator.mask_rule)
         for camera in made.heldout_cameras
     }
 

@@ -23,10 +23,7 @@ NATIVE, NONE = Path("native"), Path("none")
 
 
 def configured_estimator(options: Locate) -> Estimator:
-    """The estimator of --method, configured by --config and the options.
-
-    An option that is invalid or does not apply to the method raises InputError.
-    """
+    """The estimator of --method, --config and the options; InputError if one is invalid for it."""
     base: Any = METHODS[options.method]
     if options.config is not None:
         base = read_config_file(options.config).for_method(options.method).estimator

@@ -27,8 +27,7 @@ MEASURES = {"f1": "F1", "iou": "IoU", "precision": "precision", "recall": "recal
 """Titles of the columns, by property of `Confusion`."""
 NAME_WIDTH = 32
 ASPECT_TOLERANCE = 0.02
-"""Relative difference between the aspects of a truth and its view that rounding of the sizes of
-small images explains."""
+"""Relative difference of aspects that rounding the sizes of small images explains."""
 
 
 def run_evaluate(options: Evaluate) -> tuple[list[str], list[str]]:
@@ -66,10 +65,7 @@ def _file_and_folder(truth: Sequence[Path]) -> tuple[Path | None, Path | None]:
 
 
 def _by_gaussian(results: Results, truth: Path) -> dict[str, Any]:
-    """Scores of the labels, and the AUC of the scores behind them.
-
-    Rows that `locate` could not read count as labelled authentic.
-    """
+    """Scores of labels, and the AUC behind them; rows that were not read count as authentic."""
     values = read_by_row(truth, results.scene.total)
     if not np.isin(values, (0, 1)).all():
         raise InputError(f"{truth}: holds {values.dtype} other than 0 and 1, expected labels.npy")

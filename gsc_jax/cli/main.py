@@ -163,8 +163,7 @@ def _run(command: Command) -> None:
             lines, own = _answer(command, Monitor(progress=bars))
         print(*map(printable, lines), sep="\n", flush=True)
     finally:
-        found = list(dict.fromkeys([*own, *_sentences(raised)]))
-        if found:
+        if found := list(dict.fromkeys([*own, *_sentences(raised)])):
             count = f"{len(found)} warning{'s' if len(found) > 1 else ''}:"
             print(count, *map(printable, found), sep="\n  ", file=sys.stderr)
 

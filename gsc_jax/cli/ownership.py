@@ -47,8 +47,7 @@ def refuse_overlap(out: Path, inputs: Sequence[Path], *, written: Sequence[str])
 def refuse_foreign(out: Path, names: Sequence[str], *, report: str) -> None:
     """Raise InputError if a file in the way is not an output of an earlier run as it was written.
 
-    In the way are the `names`, which are to be written, other outputs of that run, and what
-    `refuse_blocked` refuses.
+    In the way are the `names` to be written, outputs of that run, and what `refuse_blocked` finds.
     """
     refuse_blocked(out, names)
     digests, finished = listed_outputs(out, report), read_journal(out)

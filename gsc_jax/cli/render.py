@@ -1,7 +1,6 @@
 """`gsc-jax render`: a PNG of the scene from each camera.
 
-The cameras of an orbit are written, too. render.json lists the files, so that the next run replaces
-these and no others.
+The cameras of an orbit are written, too. The next run replaces only the files in render.json.
 """
 
 import dataclasses

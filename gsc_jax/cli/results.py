@@ -16,7 +16,7 @@ from gsc_jax.io.cameras import load_cameras
 from gsc_jax.io.files import existing_file
 from gsc_jax.io.ply import PlyScene, read_ply
 from gsc_jax.io.tables import read_table
-from gsc_jax.io.validation import brief, one_line
+from gsc_jax.io.validation import one_line, reported
 from gsc_jax.scene import Camera, InputError
 
 AGAIN = "run gsc-jax locate again"
@@ -122,11 +122,9 @@ def read_by_row(path: Path, total: int) -> np.ndarray:
     """Read a .npy file of `total` numbers, one per row of a scene file, or raise InputError."""
     expected = f"a .npy of {total:,} numbers, one per row of the scene"
     existing_file(path, expected=expected)
-    try:
+    with reported(f"{path}: damaged", f", expected {expected}"):
         # Mapped, so that a shape in the header that the file does not have allocates nothing.
         values = np.lib.format.open_memmap(path, mode="r")
-    except Exception as error:  # a damaged header may raise anything
-        raise InputError(f"{path}: damaged ({brief(error)}), expected {expected}") from error
     if values.shape != (total,) or values.dtype.kind not in "biuf":
         raise InputError(
             f"{path}: holds {values.dtype} of shape {values.shape}, expected {expected}"

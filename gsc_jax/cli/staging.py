@@ -58,8 +58,7 @@ def replacing(
 
     Args:
         out: The folder of results, created if missing.
-        report: The file whose `outputs` get a digest for every file; it is moved last, after
-            report.html.
+        report: The file whose `outputs` get a digest of every file; it is moved last of all.
         identity: Of the arrays that the run keeps in `views_of` the provided folder. If the block
             fails, they stay there for the next run of the same identity.
 

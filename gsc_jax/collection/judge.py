@@ -1,7 +1,6 @@
 """One scene to one row: what `gsc-jax locate` finds in it, without the views unless needed.
 
-Without a 2D detector, the views only show the result, so that they are placed and rendered for a
-report only.
+Without a 2D detector, views only show the result: they are placed and rendered for a report only.
 """
 
 import contextlib

@@ -8,7 +8,7 @@ from pathlib import Path
 from gsc_jax.collection.record import RESERVED
 from gsc_jax.io.compressed import SUFFIXES
 from gsc_jax.io.files import existing_file
-from gsc_jax.io.validation import brief
+from gsc_jax.io.validation import reported
 from gsc_jax.scene import InputError
 
 Entry = dict[str, str | None]
@@ -67,15 +67,13 @@ def _rows(source: Path) -> list[Entry]:
     from pyarrow import csv, parquet
 
     existing_file(source, expected="a manifest")
-    try:
+    with reported(f"{source}: damaged", ", expected a manifest"):
         if source.suffix.lower() != ".csv":
             table = parquet.read_table(source)
         else:  # an id 007 stays as it is
             names = csv.open_csv(source).schema.names
             options = csv.ConvertOptions(column_types=dict.fromkeys(names, "string"))
             table = csv.read_csv(source, convert_options=options)
-    except Exception as error:  # a damaged file may raise anything
-        raise InputError(f"{source}: damaged ({brief(error)}), expected a manifest") from error
     if "path" not in table.column_names:
         found = ", ".join(table.column_names)
         raise InputError(f"{source}: expected a column `path`, found {found}; rename the column")

@@ -24,8 +24,7 @@ class ScanSettings:
 
     Attributes:
         command: Options of `gsc-jax locate` for every scene, by the names of their fields.
-        out: Folder that all machines share: each finished scene is written there at once. None
-            writes nothing.
+        out: Folder that all machines share, written to after each scene; None writes nothing.
         workers: Scenes that are judged at the same time, each in a process of its own.
         cpus: Cores of a worker.
         memory: Memory of a worker in GiB; None is an equal share of half of the machine. A file

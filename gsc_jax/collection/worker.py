@@ -162,7 +162,7 @@ class SceneWorker:
     def _judged_once(self, command: Row, above: float | None) -> Row:
         """Judge a scene in the process, which the next scene replaces if it is lost."""
         process, self._judge = self._judge or self._started(), None
-        self._ray.get(process.ready.remote())  # its start does not count
+        self._ray.get(process.__ray_ready__.remote())  # its start does not count
         judged = process.judge.remote(command, above)
         try:
             row = self._ray.get(judged, timeout=self._settings.timeout)
@@ -187,9 +187,6 @@ class _Judge:
             os.sched_setaffinity(0, cores)
         if cache is not None:
             enable_compilation_cache(cache)
-
-    def ready(self) -> None:
-        """Return once the process has started."""
 
     def judge(self, command: Mapping[str, Any], above: float | None) -> Row:
         """Judge a scene, as `judge` does, by the options of `locate` under their names."""

@@ -2,8 +2,7 @@
 
 The paper leaves details open, and its released code differs from its equations. Both are
 configurations of one estimator: which vote gives the initial attribute (eq. 5 and 6), which
-attributes the 3D loss compares (eq. 7 and 8), the schedule of the optimisation (eq. 9 to 12), the
-threshold.
+attributes the 3D loss compares (eq. 7 and 8), the schedule (eq. 9 to 12), and the threshold.
 """
 
 import dataclasses

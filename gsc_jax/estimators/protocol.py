@@ -97,8 +97,7 @@ class Finding:
         attribute: Raw attribute r, shape (N,) float32, unbounded; log odds for `robust`.
         group_sizes: Sizes of G_h, G_m and G_l in every iteration, shape (iterations, 3).
         verdict: Scene probability: that anything was edited; None if the estimator gives none.
-        reliability: Reliability of the mask of each view, in the order of the cameras; empty if the
-            estimator infers none.
+        reliability: Reliability of each mask, in the order of the cameras; empty if not inferred.
         warnings: Sentences for the user.
 
     Raises:
@@ -151,16 +150,12 @@ class Estimator(abc.ABC):
     def estimate(self, observation: Observation, prior: Prior | None = None) -> Finding:
         """Compute scores and labels from V views of N Gaussians; deterministic for given fields."""
 
-    def for_views(self, views: int) -> Self:
+    def for_views(self, views: int) -> Self:  # noqa: ARG002
         """The estimator with defaults that depend on the number of views filled in."""
-        del views
         return self
 
     def check_fields(self, ranges: Mapping[str, tuple[float, float]]) -> None:
-        """Raise ValueError for an unknown value of a `Literal`, and for a number out of its range.
-
-        The ranges are those of further fields, beside `RANGES`.
-        """
+        """Raise ValueError for an unknown `Literal`, or a number out of `RANGES` and `ranges`."""
         for name, hint in typing.get_type_hints(type(self)).items():
             known, value = typing.get_args(hint), getattr(self, name)
             if typing.get_origin(hint) is Literal and value not in known:
@@ -169,11 +164,7 @@ class Estimator(abc.ABC):
 
 
 def unanimous(evidence: EvidenceOfViews) -> Finding | None:
-    """Finding for masks that are all empty or all full, from which nothing can be estimated.
-
-    It labels nothing if all masks are empty, and all seen Gaussians if all are full; else it is
-    None.
-    """
+    """Finding if all masks are empty (no labels) or full (all seen are labelled), else None."""
     seen = evidence.seen
     if evidence.none_flagged:
         labels, warning = np.zeros(len(seen), bool), NONE_FLAGGED

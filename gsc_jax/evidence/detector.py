@@ -140,8 +140,7 @@ class _MappingDetector:
             )
         return found
 
-    def __call__(self, image: np.ndarray | None, camera: Camera) -> np.ndarray:
-        del image
+    def __call__(self, image: np.ndarray | None, camera: Camera) -> np.ndarray:  # noqa: ARG002
         if camera.name not in self.maps:
             raise InputError(f"Camera {camera.name!r} has no mask; leave it out, or give one.")
         return same_view(self.maps[camera.name], camera)
@@ -154,8 +153,7 @@ def as_detector(detector: Any, cameras: Sequence[Camera] = ()) -> Detector:
 
     Raises:
         InputError: if there are more or fewer maps than cameras.
-        ValueError: if it is neither, nor a detector; also for a torch module, whose input is not
-            known.
+        ValueError: if it is neither, nor a detector, or a torch module, whose input is unknown.
     """
     if hasattr(detector, "select"):
         return detector

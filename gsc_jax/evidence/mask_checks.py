@@ -35,8 +35,7 @@ def properties(image: np.ndarray) -> dict[str, np.ndarray]:
 def doubts(observation: Observation, *, near: float = NEAR) -> list[str]:
     """Reasons why the masks of an observation are no evidence of an edit, as sentences."""
     found = []
-    name = followed_property(observation, near)
-    if name is not None:
+    if name := followed_property(observation, near):
         found.append(
             f"The masks follow the {name} of the images: one threshold on it separates what they "
             "flag in all views. They are no evidence of an edit; use another detector."

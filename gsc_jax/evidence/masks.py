@@ -57,10 +57,7 @@ def filled_scores(scored: Scored) -> Labelled:
 
 
 def normalise(attribute: Array) -> jax.Array:
-    """Divide an attribute (N,) by its largest value, and clip negative values to 0.
-
-    The scores are in [0, 1]; all are 0 when no attribute is positive.
-    """
+    """Divide an attribute (N,) by its maximum, clipped to [0, 1]; all 0 if none is positive."""
     attribute = jnp.asarray(attribute)
     largest = jnp.max(attribute, initial=0.0)
     return jnp.maximum(attribute, 0.0) / jnp.where(largest > 0, largest, 1.0)
@@ -92,12 +89,10 @@ def view_mask(
         Boolean, shape (H, W); false where the scene is transparent.
 
     Raises:
-        ValueError: if there is no such rule, the threshold is outside of [0, 1), or the near plane
-            is not positive.
+        ValueError: if the rule is unknown, the threshold outside [0, 1), or `near` not positive.
     """
-    if rule not in typing.get_args(MaskRule):
-        known = ", ".join(typing.get_args(MaskRule))
-        raise ValueError(f"rule must be one of {known}, got {rule!r}")
+    if rule not in (known := typing.get_args(MaskRule)):
+        raise ValueError(f"rule must be one of {', '.join(known)}, got {rule!r}")
     if not 0 <= threshold < 1:
         raise ValueError(f"threshold must be in [0, 1), got {threshold}")
     if rule == "per-view":
@@ -164,8 +159,7 @@ def rendered_share(
         near: Near plane in world units.
 
     Returns:
-        Mean of the feature over the blending weights of each pixel, shape (H, W); 0 where alpha is
-        0.1 or less.
+        Mean of the feature by blending weight, shape (H, W); 0 where alpha is 0.1 or less.
 
     Raises:
         ValueError: if the feature has not N numbers, or one is not finite.

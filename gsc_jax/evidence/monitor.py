@@ -13,8 +13,7 @@ Progress = Callable[[str, int, int], None]
 class Monitor:
     """Collect seconds and peak memory of each stage, and pass progress on.
 
-    Stages that run in several threads overlap: their seconds then add up to more than the wall
-    time.
+    Stages that run in threads overlap: their seconds then add up to more than the wall time.
 
     Args:
         progress: Called with (stage, done, total); None ignores progress.
@@ -24,7 +23,7 @@ class Monitor:
         self.seconds: dict[str, float] = {}
         self.peak_mib: dict[str, float] = {}
         self._progress = progress
-        self._expected: int | None = None
+        self._expected: dict[str, int] = {}
         self._lock = threading.Lock()
         self._start = time.perf_counter()
 
@@ -43,16 +42,11 @@ class Monitor:
     def progress(self, stage: str, done: int, total: int) -> None:
         """Report that `done` of `total` items of a stage are finished."""
         if self._progress is not None:
-            self._progress(stage, done, self._expected or total)
+            self._progress(stage, done, self._expected.get(stage, total))
 
-    @contextlib.contextmanager
-    def expecting(self, total: int) -> Iterator[None]:
-        """Report the progress inside a block as the first part of a larger number of items."""
-        self._expected = total
-        try:
-            yield
-        finally:
-            self._expected = None
+    def expect(self, stage: str, total: int) -> None:
+        """Report the progress of a stage from now on as the first part of `total` items."""
+        self._expected[stage] = total
 
     def elapsed(self) -> float:
         """Wall time since this monitor was made, in seconds."""

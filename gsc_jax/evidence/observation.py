@@ -151,8 +151,7 @@ def check_cameras(cameras: Camera | Iterable[Camera]) -> list[Camera]:
     names = [camera.name for camera in cameras]
     if not names:
         raise InputError("no cameras: expected at least one view of the scene")
-    duplicates = sorted({name for name in names if names.count(name) > 1})
-    if duplicates:
+    if duplicates := sorted({name for name in names if names.count(name) > 1}):
         raise InputError(
             f"Two cameras have the name {duplicates[0]!r}; masks are stored by camera name."
         )

@@ -14,10 +14,7 @@ class InputError(ValueError):
 
 
 def in_range(value: Any, least: float, most: float) -> bool:
-    """Whether a value is a number in a closed range: a whole one if `least` is an integer.
-
-    Booleans are not numbers.
-    """
+    """Whether a value is a number, no bool, in a closed range: a whole one if `least` is an int."""
     kinds = (int, np.integer) if isinstance(least, int) else (int, float, np.number)
     number = isinstance(value, kinds) and not isinstance(value, bool)
     return number and bool(least <= value <= most)

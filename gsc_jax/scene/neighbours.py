@@ -16,8 +16,7 @@ OBLIQUE = np.array([[1, 0.0123, 0.0071], [0.0071, 1, 0.0123], [0.0123, 0.0071, 1
 def order_of_leaves(points: np.ndarray) -> np.ndarray:
     """Rows of finite points (N, D) such that those close in space are close in order, shape (N,).
 
-    Searches and means in this order are two to four times as fast, since they read the memory that
-    the one before has read.
+    Searches and means in this order are two to four times as fast: they reuse cached memory.
     """
     return KDTree(points, balanced_tree=False).indices
 

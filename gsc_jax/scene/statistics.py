@@ -7,10 +7,7 @@ STD_PER_MAD = 1.4826
 
 
 def median_and_mad(values: np.ndarray, *, axis: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the median, and the median absolute deviation in normal standard deviations.
-
-    Both keep the axis of the samples with length 1.
-    """
+    """Median and median absolute deviation in normal standard deviations; both keep the axis."""
     median = np.median(values, axis=axis, keepdims=True)
     return median, STD_PER_MAD * np.median(np.abs(values - median), axis=axis, keepdims=True)
 

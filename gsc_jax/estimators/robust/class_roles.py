@@ -77,8 +77,7 @@ def assign_roles(
     """Assign a role to each class; None if all visible weight belongs to one class.
 
     `rates` are the flag rates by class and view, `weights` the weight of a class that a view sees,
-    both (K, V). The options tell whether masks may be inverted, and whether distractors and second
-    edits may exist.
+    both (K, V). The options allow inverted masks, and distractors and second edits.
     """
     mass = weights.sum(axis=1)
     shown_best = weights / np.maximum(weights.max(axis=1, keepdims=True), 1e-30)

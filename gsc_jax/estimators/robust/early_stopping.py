@@ -61,9 +61,9 @@ def observe_until_stable(
     """
     order = [cameras[k] for k in spread(len(cameras))]
     changes, before = [], None
+    monitor.expect("views", len(order))
     for end in batches(len(order)):
-        with monitor.expecting(len(order)):
-            observation = observe(order[:end])
+        observation = observe(order[:end])
         with monitor.stage("optimise"):
             finding = estimator.estimate(observation, prior)
         if before is not None:

@@ -150,8 +150,7 @@ class RobustEstimator(Estimator):
         """Estimate the probability of each Gaussian from the masks alone.
 
         The positions (N, D) only serve to find neighbours. If no mask covers anything, not
-        `flagged`, all probabilities are 0. The estimate is deterministic, and finite for any
-        evidence.
+        `flagged`, all probabilities are 0. They are deterministic, and finite for any evidence.
         """
         seen_sum, flagged_sum = summed_visibility(evidence, self.half_weight)
         seen = seen_sum > 0

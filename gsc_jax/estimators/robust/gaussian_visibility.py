@@ -14,8 +14,7 @@ def visibility(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Visibility of M of the Gaussians in each view, and the flagged part of it, shapes (V, M).
 
-    total / (total + half_weight) and tampered / (total + half_weight), with `half_weight` in
-    pixels.
+    total / (total + half_weight) and tampered / (total + half_weight); half_weight is in pixels.
     """
     total, tampered = evidence.of(rows)
     scale = 1.0 / (total + np.float32(half_weight))

@@ -96,12 +96,6 @@ def test_a_ply_of_another_name_is_not_read_as_its_suffix_says(tmp_path, suffix):
         read_ply(path)
 
 
-def test_a_splat_that_is_cut_off_is_said_to_be(tmp_path):
-    (tmp_path / "scene.splat").write_bytes(bytes(33))
-    with pytest.raises(InputError, match="no whole number of rows of 32 bytes; is it cut off"):
-        read_ply(tmp_path / "scene.splat")
-
-
 def test_gsply_is_imported_for_compressed_scenes_only(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "gsply", None)
     (tmp_path / "scene.spz").write_bytes(b"")

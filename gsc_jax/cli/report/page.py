@@ -49,7 +49,7 @@ def report_page(
         result=result,
         wording=wording,
         headline=wording.headline(report["verdict"], counts["tampered"]),
-        candidates=wording.are_candidates(report["verdict"]),
+        candidates=counts["tampered"] > 0 and wording.are_candidates(report["verdict"]),
         conflict=wording.conflict(result),
         lead=wording.lead(located),
         traces=sorted(getattr(result.prior, "traces", ()), key=lambda trace: not trace.found),

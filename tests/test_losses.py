@@ -91,6 +91,8 @@ def test_the_direction_points_to_the_nearer_mean():
     torn = mixed.at[:, 2].set(jnp.array([0.9, 5.0]))
     assert direction(torn, split, per_feature=True)[2] == 0
     assert direction(torn, split)[2] == -1
+    two_to_one = jnp.concatenate([torn, attributes[:1]])
+    assert direction(two_to_one, split, per_feature=True)[2] == pytest.approx(1 / 3)
 
 
 def test_the_3d_loss_is_minus_the_mean_of_u_r_over_the_middle():

@@ -14,8 +14,8 @@ from gsc_jax.io.validation import reported
 
 BYTES_PER_CHARACTER = 40
 """Memory of a parsed tree per byte of text: an empty dictionary has 64 bytes for "{},"."""
-MAX_DEPTH = 100
-"""No file that this package reads is deeper than 8."""
+MAX_DEPTH = 200
+"""Two levels for each of up to 90 halvings in a streamed scene; other files are 8 deep at most."""
 PARSERS = {".json": json.loads, ".toml": tomllib.loads}
 
 

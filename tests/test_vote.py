@@ -25,13 +25,17 @@ def test_a_center_votes_by_the_pixel_that_contains_it_or_abstains():
 
 
 def test_abstentions_compete_only_in_the_official_consensus():
-    #                      3 of 5      2 to 1 of 5     tie       nothing     2 to 0, 3 abstain
-    votes = np.array(
-        [[1, 1, 1, 0, 0], [1, 1, 0, -1, -1], [1, 0, -1, -1, -1], [-1] * 5, [1, 1, -1, -1, -1]]
-    )
-    counts = tally(votes.T)
-    assert paper_consensus(counts).tolist() == [3, 2, 0, 0, 2]
-    assert official_consensus(counts).tolist() == [3, 0, 0, 0, 0]
+    votes = {
+        "3 of 5": [1, 1, 1, 0, 0],
+        "2 to 1": [1, 1, 0, -1, -1],
+        "1 to 2": [1, 0, 0, -1, -1],
+        "tie": [1, 0, -1, -1, -1],
+        "nothing": [-1] * 5,
+        "2 to 0": [1, 1, -1, -1, -1],
+    }
+    counts = tally(np.array([*votes.values()]).T)
+    assert paper_consensus(counts).tolist() == [3, 2, 0, 0, 0, 2]
+    assert official_consensus(counts).tolist() == [3, 0, 0, 0, 0, 0]
 
 
 @given(votes_of_views)

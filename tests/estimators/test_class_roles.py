@@ -50,7 +50,9 @@ def test_a_class_flagged_in_fewer_views_is_a_distractor():
 
 
 def test_a_class_with_rates_near_one_half_is_no_distractor():
-    assert len(roles([LOW] * 6, [HIGH] * 6, [0.8, 0.7, 0.6, 0.3, 0.25, 0.3]).tampered) == 2
+    for rates in ([0.8, 0.7, 0.6, 0.3, 0.25, 0.3], [0.8, 0.8, 0.8, 0.8, 0.3, 0.3]):
+        assert len(roles([LOW] * 6, [HIGH] * 6, rates).tampered) == 2
+    assert len(roles([LOW] * 6, [HIGH] * 6, [HIGH] * 4 + [LOW] * 2).tampered) == 3
 
 
 def test_a_class_flagged_nearly_as_often_is_a_second_edit():

@@ -91,7 +91,7 @@ def _traces(
         near = near[:, :TRACE_NEIGHBOURS].copy()
     traces = [copy_move(sound, near, duplicates), *(trace(sound, near) for trace in LOCAL_TRACES)]
     traces = [dataclasses.replace(trace, score=trace.score[in_file]) for trace in traces]
-    return [*traces, row_order(sound.take(in_file))]
+    return [*traces, row_order(sound, in_file)]
 
 
 def _expanded(trace: Trace, rows: np.ndarray) -> Trace:

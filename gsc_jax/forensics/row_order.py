@@ -23,22 +23,22 @@ APPENDED_SCORE = 0.95
 """Score of the rows at the end, whose first one is known only up to a piece."""
 
 
-def row_order(gaussians: Gaussians) -> Trace:
-    """Detect rows at the end of an unsorted file unlike the rest."""
+def row_order(gaussians: Gaussians, in_file: np.ndarray | slice = slice(None)) -> Trace:
+    """Detect rows at the end of an unsorted file unlike the rest; `in_file` is its order, (N,)."""
     score = np.zeros(len(gaussians), np.float32)
-    score[appended_rows(gaussians)] = APPENDED_SCORE
+    score[appended_rows(gaussians, in_file)] = APPENDED_SCORE
     found = "are the last of the file and differ from all other rows"
     return make_trace(
         "row-order", score, found, "The last rows of the file do not differ from the others."
     )
 
 
-def appended_rows(gaussians: Gaussians) -> slice:
+def appended_rows(gaussians: Gaussians, in_file: np.ndarray | slice = slice(None)) -> slice:
     """Rows at the end that differ from those before, to within a piece; empty if none do."""
     pieces = min(PIECES, len(gaussians) // MIN_PIECE_ROWS)
     if pieces < 16:  # too few to estimate the usual deviation
         return slice(0)
-    columns = _standardised(gaussians)
+    columns = _standardised(gaussians)[in_file]
     bounds = np.linspace(0, len(columns), pieces + 1).round().astype(int)
     means = np.add.reduceat(columns, bounds[:-1]) / np.diff(bounds)[:, None]
     cuts = range(2 * pieces // 3, pieces)

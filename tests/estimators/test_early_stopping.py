@@ -1,6 +1,8 @@
 """Early stopping over views: which views, how many, and the same labels."""
 
 import dataclasses
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from gsc_jax.estimators.robust.early_stopping import (
     EarlyStopping,
     batches,
     changed,
+    observe_until_stable,
     spread,
 )
 from gsc_jax.evidence.lifting import Evidence
@@ -51,6 +54,21 @@ LATER = [f"view_{k}" for k in spread(VIEWS)]
 def test_views_are_added_until_something_is_labelled():
     result = locate(SCENE, CAMERAS, Network(first=18))
     assert len(result.probabilities) == VIEWS, "stopped before anything was labelled"
+
+
+def test_the_last_change_decides_and_not_the_first():
+    """12 and 18 views label nothing, 27 something, which the next 13 do not change."""
+    labels = {12: TRUTH & False, 18: TRUTH & False, 27: TRUTH, 40: TRUTH, 60: TRUTH}
+    evidence = Evidence(total=np.ones((1, len(TRUTH))), tampered=np.ones((1, len(TRUTH))))
+
+    def observe(cameras) -> Any:
+        return SimpleNamespace(evidence=evidence, views=len(cameras))
+
+    estimator: Any = SimpleNamespace(
+        estimate=lambda seen, _: SimpleNamespace(labels=labels[seen.views]), tolerance=0.01
+    )
+    _, _, stop = observe_until_stable(observe, CAMERAS * 2, estimator, None, Monitor())
+    assert (stop.views, stop.changes) == (40, (0, 1, 0))
 
 
 @given(st.integers(1, 300))

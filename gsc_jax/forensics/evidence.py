@@ -88,7 +88,7 @@ def _traces(
     near, duplicates = np.zeros((len(sound), 0), int), None
     if computed:
         near, duplicates = computed.neighbourhoods.nearest, computed.duplicates
-        near = near[:, :TRACE_NEIGHBOURS].copy()
+        near = near[:, :TRACE_NEIGHBOURS]
     traces = [copy_move(sound, near, duplicates), *(trace(sound, near) for trace in LOCAL_TRACES)]
     traces = [dataclasses.replace(trace, score=trace.score[in_file]) for trace in traces]
     return [*traces, row_order(sound, in_file)]

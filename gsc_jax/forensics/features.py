@@ -81,16 +81,16 @@ def compute_features(gaussians: Gaussians) -> Features:
     They are independent of the order of the rows and of position, scale and pose of the scene,
     except those of duplicates, which compare attributes as stored.
     """
-    with ThreadPoolExecutor(1) as beside:  # the longest search of all
-        duplicates = beside.submit(nearest_duplicates, gaussians)
+    with ThreadPoolExecutor(1) as beside:  # only the other search: its trees are large
+        found = beside.submit(nearest_duplicates, gaussians)
         around = neighbourhoods(np.asarray(gaussians.means, np.float32), NEIGHBOURS)
-        groups = _groups(gaussians, around)
-        groups["copies"] = duplicate_closeness(duplicates.result()[0])
+    distances, duplicates = found.result()
+    groups = _groups(gaussians, around) | {"copies": duplicate_closeness(distances)}
     numbers = [f"{name}.{i}" for name, values in groups.items() for i in range(values.shape[1])]
     return Features(
         names=tuple(f"{number}.{label}" for label in SURROUNDINGS for number in numbers),
         neighbourhoods=around,
-        duplicates=duplicates.result()[1],
+        duplicates=duplicates,
         store=_with_surroundings(_table(groups), around),
     )
 
@@ -188,19 +188,25 @@ def _harmonics(rest: np.ndarray) -> np.ndarray:
 
 def _direction_groups(gaussians: Gaussians, around: Neighbourhoods) -> dict[str, np.ndarray]:
     """Flatness of the surroundings, and how the axes of Gaussians are oriented in them."""
-    axes, logs = rotation_matrices(gaussians), np.asarray(gaussians.log_scales)
-    rows = np.arange(len(logs))
-    shortest, longest = axes[rows, :, logs.argmin(axis=1)], axes[rows, :, logs.argmax(axis=1)]
+    rows = np.arange(len(gaussians))
+    axes = in_blocks(lambda some: _extreme_axes(gaussians.take(some)), rows).swapaxes(0, 1)
     means = np.asarray(gaussians.means, np.float32)
     covariance = in_blocks(functools.partial(_covariance, means.T.copy()), around.nearest)
     squared = np.einsum("nij,nij->n", covariance, covariance)
     volume = np.log(np.maximum(np.linalg.det(covariance), 1e-9))
-    along = [np.einsum("ni,nij,nj->n", axis, covariance, axis) for axis in (shortest, longest)]
-    agreement = [_agreement(axis, around) for axis in (shortest, longest)]
+    along = [np.einsum("ni,nij,nj->n", axis, covariance, axis) for axis in axes]
+    agreement = [_agreement(axis, around) for axis in axes]
     return {
         "surface": np.column_stack([squared, volume, *along]),
         "agreement": np.column_stack(agreement),
     }
+
+
+def _extreme_axes(gaussians: Gaussians) -> np.ndarray:
+    """Directions of the shortest and of the longest axis, shape (N, 2, 3)."""
+    logs = np.asarray(gaussians.log_scales)
+    ends = np.stack([logs.argmin(axis=1), logs.argmax(axis=1)], axis=1)[:, :, None]
+    return np.take_along_axis(rotation_matrices(gaussians).swapaxes(1, 2), ends, axis=1)
 
 
 def _covariance(columns: np.ndarray, nearest: np.ndarray) -> np.ndarray:

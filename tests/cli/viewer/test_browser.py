@@ -157,6 +157,17 @@ class TestWrittenPage:
         place = f"//*[normalize-space(text())='{node}']/preceding::*[name()='svg'][1]"
         page.browser.find_element(By.XPATH, place).click()
 
+    def test_a_browser_without_webgl_is_told_so(self, shown, tmp_path):
+        write_page(tmp_path / "page.html", shown.contents)
+        source = {"source": "HTMLCanvasElement.prototype.getContext = () => null"}
+        run_before = "Page.addScriptToEvaluateOnNewDocument"
+        script = shown.browser.execute_cdp_cmd(run_before, source)
+        try:
+            shown.open((tmp_path / "page.html").as_uri())
+            assert "no WebGL 2" in shown.browser.find_element(By.TAG_NAME, "header").text
+        finally:
+            shown.browser.execute_cdp_cmd(run_before.replace("add", "remove"), script)
+
     def test_layers_are_shown_and_hidden(self, page):
         assert red(page.picture()) > 0.005
         page.browser.find_element(By.CSS_SELECTOR, "[aria-label='Show scene tree']").click()

@@ -83,9 +83,9 @@ def compute_features(gaussians: Gaussians) -> Features:
     """
     with ThreadPoolExecutor(1) as beside:  # only the other search: its trees are large
         found = beside.submit(nearest_duplicates, gaussians)
-        around = neighbourhoods(np.asarray(gaussians.means, np.float32), NEIGHBOURS)
+        around, reach = neighbourhoods(np.asarray(gaussians.means, np.float32), NEIGHBOURS)
     distances, duplicates = found.result()
-    groups = _groups(gaussians, around) | {"copies": duplicate_closeness(distances)}
+    groups = _groups(gaussians, around, reach) | {"copies": duplicate_closeness(distances)}
     numbers = [f"{name}.{i}" for name, values in groups.items() for i in range(values.shape[1])]
     return Features(
         names=tuple(f"{number}.{label}" for label in SURROUNDINGS for number in numbers),
@@ -133,11 +133,13 @@ def _with_surroundings(own: np.ndarray, around: Neighbourhoods) -> ArrayStore:
     return store
 
 
-def _groups(gaussians: Gaussians, around: Neighbourhoods) -> dict[str, np.ndarray]:
-    """Numbers by group, each of shape (N, D)."""
+def _groups(
+    gaussians: Gaussians, around: Neighbourhoods, reach: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Numbers by group, each of shape (N, D); `reach` are the distances to the neighbours."""
     logs = -np.sort(-np.asarray(gaussians.log_scales, np.float32), axis=1)
-    spacing = np.log(around.distances.mean(axis=1) + 1e-12)
-    ends = np.log(around.distances[:, [0, -1]] + 1e-12) - spacing[:, None]
+    spacing = np.log(reach.mean(axis=1) + 1e-12)
+    ends = np.log(reach[:, [0, -1]] + 1e-12) - spacing[:, None]
     return {
         "size": np.column_stack([logs - spacing[:, None], logs.mean(axis=1), spacing]),
         "anisotropy": -np.diff(logs, axis=1),

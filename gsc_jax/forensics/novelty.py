@@ -54,7 +54,7 @@ def novelty(features: Features, means: np.ndarray) -> np.ndarray:
         return np.add.reduceat(values[rows], starts) / sizes[:, None]
 
     centers = mean(means)
-    around = neighbourhoods(centers.astype(np.float32), NEIGHBOURS)
+    around, _ = neighbourhoods(centers.astype(np.float32), NEIGHBOURS)
     # Some columns at a time, since all of them take as much memory as the scene.
     moments = [np.stack([mean(own), mean(own * own)]) for own in features.own()]
     first, square = (around.mean @ values for values in np.concatenate(moments, axis=2))

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.special import expit, logit
 
 from gsc_jax.scene import Gaussians
+from gsc_jax.scene.parallel import in_blocks
 
 NEIGHBOURS = 12
 """Neighbours that decide about a region: fewer give ragged regions, more blur small edits."""
@@ -87,8 +88,8 @@ def region_scores(
     nothing, size = np.zeros(len(marked), np.float32), neighbours.shape[1] + 1
     if marked.sum() < MIN_REGION or not neighbours.size:
         return nothing
-    around = (marked + marked[neighbours].sum(axis=1)) / size
-    share = (around + around[neighbours].sum(axis=1)) / size
+    around = (marked + in_blocks(lambda near: marked[near].sum(axis=1), neighbours)) / size
+    share = (around + in_blocks(lambda near: around[near].sum(axis=1), neighbours)) / size
     inside = share >= min_share
     if not MIN_REGION <= inside.sum() <= MAX_REGION_SHARE * len(marked):
         return nothing

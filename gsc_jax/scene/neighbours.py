@@ -47,13 +47,11 @@ class Neighbourhoods:
 
     Attributes:
         nearest: Indices of the k nearest other points, nearest first, shape (N, k) int32.
-        distances: Distances to them, shape (N, k) float32.
         mean: Sparse matrix (N, N) that maps values to their means over the neighbours; apply it
             twice to average over the neighbours' neighbours.
     """
 
     nearest: np.ndarray
-    distances: np.ndarray
     mean: Any
 
     def spread(self, values: np.ndarray, means: np.ndarray) -> np.ndarray:
@@ -67,8 +65,11 @@ class Neighbourhoods:
         return values
 
 
-def neighbourhoods(points: np.ndarray, k: int) -> Neighbourhoods:
-    """Find the k nearest neighbours of N > k finite points (N, 3), fastest in `order_of_leaves`."""
+def neighbourhoods(points: np.ndarray, k: int) -> tuple[Neighbourhoods, np.ndarray]:
+    """Find the k nearest neighbours of N > k finite points (N, 3), fastest in `order_of_leaves`.
+
+    Returns them, and the distances to them, shape (N, k) float32.
+    """
     tree, shape = KDTree(points, balanced_tree=False), (len(points), k)
     nearest, distances = np.empty(shape, np.int32), np.empty(shape, np.float32)
     for block in blocks(len(points)):  # SciPy's results take four times the memory
@@ -78,7 +79,7 @@ def neighbourhoods(points: np.ndarray, k: int) -> Neighbourhoods:
     ends = np.arange(0, nearest.size + 1, k, dtype=np.int32)
     weights = np.full(nearest.size, 1 / k, np.float32)
     mean = csr_array((weights, nearest.ravel(), ends), shape=(len(points), len(points)))
-    return Neighbourhoods(nearest=nearest, distances=distances, mean=mean)
+    return Neighbourhoods(nearest=nearest, mean=mean), distances
 
 
 def parts(points: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:

@@ -31,8 +31,10 @@ def test_points_at_the_same_place_are_neighbours_of_each_other_only():
 
 def test_neighbourhoods_average_over_the_nearest_points():
     points = np.random.default_rng(0).random((300, 3)).astype(np.float32)
-    around, distances = neighbourhoods(points, 5), distances_to_others(points)
-    np.testing.assert_allclose(around.distances, np.sort(distances, axis=1)[:, :5], rtol=1e-5)
+    around, reach = neighbourhoods(points, 5)
+    np.testing.assert_allclose(
+        reach, np.sort(distances_to_others(points), axis=1)[:, :5], rtol=1e-5
+    )
     values = points[:, :2]
     means = around.mean @ values
     np.testing.assert_allclose(means, values[around.nearest].mean(axis=1), atol=1e-6)

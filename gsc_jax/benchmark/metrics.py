@@ -66,8 +66,7 @@ class Scores:
 def confusion(prediction: Array, truth: Array) -> Confusion:
     """Count the four outcomes.
 
-    Prediction and truth are bool, or numbers that count as true where > 0.5; different shapes raise
-    ValueError.
+    Both are bool, or numbers that count as true where > 0.5; different shapes raise ValueError.
     """
     flagged, tampered = _binary(prediction), _binary(truth)
     if flagged.shape != tampered.shape:

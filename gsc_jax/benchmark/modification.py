@@ -19,8 +19,6 @@ from gsc_jax.render.spherical_harmonics import Y0
 from gsc_jax.scene import Gaussians
 from gsc_jax.scene.gaussians import concatenate
 
-Warp = Callable[[jax.Array], jax.Array]
-
 KINDS = ("colour", "texture", "scale", "shape")
 
 
@@ -56,7 +54,7 @@ def modify_region(
     return regions.ProposedEdit(edited, labels, what, gaussians)
 
 
-def warp_gaussians(gaussians: Gaussians, warp: Warp) -> Gaussians:
+def warp_gaussians(gaussians: Gaussians, warp: Callable[[jax.Array], jax.Array]) -> Gaussians:
     """Move Gaussians by a map of points (3,), and reshape them by its Jacobian."""
     means = jnp.asarray(gaussians.means)
     # One compilation instead of one per operation, since each region has another size.

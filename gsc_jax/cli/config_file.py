@@ -2,8 +2,7 @@
 
 The file has two tables: `command`, the options of `locate` with underscores for dashes, and
 `config`, the fields of the estimator, some of which have no option. The result.json of a run is
-such a file, so that a run can be repeated. Command-line options override the file, which overrides
-the defaults.
+such a file, so that a run can be repeated. The command line overrides the file, the file defaults.
 """
 
 import dataclasses
@@ -32,6 +31,7 @@ METHOD_OPTIONS = ("threshold", "mask_rule", "lambda2", "epochs")
 SHARED_FIELDS = ("near", "seed")
 """Options that are fields of every estimator."""
 STRICT = pydantic.ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+_File = pydantic.create_model("_File", __config__=STRICT, command=(Table, {}), config=(Table, {}))
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -97,12 +97,6 @@ def read_config_file(path: str | Path) -> ConfigFile:
     except ValueError as error:
         raise InputError(f"{path}: config: {error}") from error
     return ConfigFile(method=method, command=command, estimator=estimator)
-
-
-class _File(pydantic.BaseModel):
-    model_config = STRICT
-    command: Table = {}
-    config: Table = {}
 
 
 @functools.cache

@@ -93,10 +93,9 @@ def _made_input(folder: Path, made: MadeScene, seed: int, monitor: Monitor) -> C
     save_cameras(folder / HELDOUT, made.heldout_cameras)
     write_scene(folder, made.gaussians, made.cameras, made.labels)
     cameras, truth, decoys = [*made.cameras, *made.heldout_cameras], [], []
-    for done, camera in enumerate(cameras, start=1):
+    for camera in monitor.track("make", cameras, len(cameras)):
         truth.append(truth_mask(made.gaussians, camera, made.labels))
         decoys.append(truth_mask(made.gaussians, camera, decoy))
-        monitor.progress("make", done, len(cameras))
     maps = simulate(np.stack(truth), np.stack(decoys), seed=seed, failures=REGIMES[REGIME])
     names = [camera.name for camera in cameras]
     case = Case(made, *(dict(zip(names, views, strict=True)) for views in (truth, maps)))

@@ -11,7 +11,7 @@ from gsc_jax.detectors.cache import CachedDetector
 from gsc_jax.detectors.folder import FolderDetector
 from gsc_jax.detectors.onnx import OnnxDetector
 from gsc_jax.detectors.safire import SafireDetector
-from gsc_jax.detectors.specs import PLAIN, PRESETS, OnnxSpec, preset, read_spec, spec_beside
+from gsc_jax.detectors.specs import PLAIN, PRESETS, read_spec, spec_beside
 from gsc_jax.estimators import METHODS
 from gsc_jax.estimators.protocol import Estimator
 from gsc_jax.evidence.detector import Detector
@@ -107,18 +107,14 @@ def _open_network(path: Path, options: Locate) -> Detector:
             raise InputError(f"--detector {path}: --preset and --spec do not apply to SAFIRE")
         model = SafireDetector(path, **runtime)
     else:
-        model = OnnxDetector(path, _spec(options), **runtime)
+        if options.preset and options.spec:
+            both = f"--preset {options.preset} and --spec {options.spec}"
+            raise InputError(f"{both}: give one of them")
+        spec = options.preset or (read_spec(options.spec) if options.spec else PLAIN)
+        model = OnnxDetector(path, spec, **runtime)
     if options.no_cache:
         return model
     return CachedDetector(model, cache_folder() / "probability-maps", model.fingerprint)
-
-
-def _spec(options: Locate) -> OnnxSpec:
-    if options.preset and options.spec:
-        raise InputError(f"--preset {options.preset} and --spec {options.spec}: give one of them")
-    if options.preset:
-        return preset(options.preset)
-    return read_spec(options.spec) if options.spec else PLAIN
 
 
 def with_spec(options: Locate) -> Locate:

@@ -143,22 +143,18 @@ def dry_run(options: Locate, *, monitor: Monitor) -> tuple[list[str], list[str]]
     inputs = read_inputs(options, monitor=monitor)
     config: dict[str, Any] = dataclasses.asdict(inputs.estimator)  # pyright: ignore[reportArgumentType]
     config |= {f"loop.{key}": value for key, value in config.pop("loop", {}).items()}
+    sizes = [(camera.width, camera.height) for camera in inputs.cameras]
+    pixels = " to ".join(f"{w} x {h}" for w, h in dict.fromkeys((min(sizes), max(sizes))))
+    origin = options.cameras or "cameras that were placed around the scene"
     results = "replaces results" if (options.out / "result.json").exists() else "new results"
     return [
         f"Dry run: nothing was written to {options.out}.",
         f"scene    {options.scene}: {len(inputs.scene.gaussians):,} Gaussians",
-        f"views    {_views(inputs)}",
+        f"views    {len(sizes)} of {pixels} pixels, from {origin}",
         *(f"evidence {source}" for source in _evidence(inputs)),
         *(f"config   {name} = {value}" for name, value in config.items()),
         f"writes   {options.out}: {results}",
     ], inputs.warnings
-
-
-def _views(inputs: Inputs) -> str:
-    sizes = [(camera.width, camera.height) for camera in inputs.cameras]
-    pixels = " to ".join(f"{w} x {h}" for w, h in dict.fromkeys((min(sizes), max(sizes))))
-    source = inputs.options.cameras or "cameras that were placed around the scene"
-    return f"{len(sizes)} of {pixels} pixels, from {source}"
 
 
 def _evidence(inputs: Inputs) -> list[str]:

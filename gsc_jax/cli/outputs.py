@@ -4,7 +4,6 @@ Pictures have full size: most of the time of a small render would also go into s
 """
 
 import dataclasses
-import functools
 import hashlib
 import importlib.metadata
 import json
@@ -46,13 +45,23 @@ def write_results(folder: Path, located: Located, store: ArrayStore, *, monitor:
     save_cameras(folder / "views.json", cameras)
     save_tampered(folder / "tamper.ply", scene, result.tamper)
     candidates = are_candidates(result.verdict)
+    tint = CANDIDATE if candidates else TINT
     save_highlight(folder / "highlight.ply", scene.gaussians, result.labels, candidates=candidates)
     save_array(folder / "labels.npy", scene.expand(result.labels))
     save_array(folder / "tamper.npy", scene.expand(result.tamper))
-    write_view = functools.partial(_write_view, folder, result, store)
+
+    def write_view(camera: Camera) -> None:
+        name, mask = camera.name, result.masks[camera.name]
+        image = store.get(RENDER, name) / np.float32(255)
+        write_mask(layer_path(folder, "masks", name), mask)
+        write_probability(layer_path(folder, "scores", name), store.get(SCORE, name))
+        if name in result.probabilities:
+            write_probability(layer_path(folder, "detector", name), result.probabilities[name])
+        write_image(layer_path(folder, "render", name), image)
+        write_image(layer_path(folder, "overlay", name), overlay(image, mask, tint))
+
     with view_threads() as pool:
-        for done, _ in enumerate(bounded_map(pool, write_view, cameras), start=1):
-            monitor.progress("write", done, len(cameras))
+        list(monitor.track("write", bounded_map(pool, write_view, cameras), len(cameras)))
     _write_overview(folder / "overview.png", cameras, result, store)
 
 
@@ -124,23 +133,6 @@ def _view(camera: Camera, result: Result) -> dict[str, Any]:
     }
 
 
-def _write_view(folder: Path, result: Result, store: ArrayStore, camera: Camera) -> None:
-    """Write the masks and pictures of a view."""
-    name = camera.name
-    image = store.get(RENDER, name) / np.float32(255)
-    mask = result.masks[name]
-    write_mask(layer_path(folder, "masks", name), mask)
-    write_probability(layer_path(folder, "scores", name), store.get(SCORE, name))
-    if name in result.probabilities:
-        write_probability(layer_path(folder, "detector", name), result.probabilities[name])
-    write_image(layer_path(folder, "render", name), image)
-    write_image(layer_path(folder, "overlay", name), overlay(image, mask, _tint(result)))
-
-
-def _tint(result: Result) -> np.ndarray:
-    return CANDIDATE if are_candidates(result.verdict) else TINT
-
-
 def _write_overview(
     path: Path, cameras: Sequence[Camera], result: Result, store: ArrayStore
 ) -> None:
@@ -150,12 +142,13 @@ def _write_overview(
     shown = evenly_spaced(judged, SHEET_ROWS)
     if any(shares.values()):
         shown = sorted(judged, key=lambda camera: -shares[camera.name])[:SHEET_ROWS]
+    candidates = are_candidates(result.verdict)
+    tint, found = (CANDIDATE, "candidates") if candidates else (TINT, "found")
     rows = {}
     for name in (camera.name for camera in shown):
         image = store.get(RENDER, name) / np.float32(255)
         detector = [result.probabilities[name]] if result.probabilities else []
-        rows[name] = [image, *detector, overlay(image, result.masks[name], _tint(result))]
-    found = "candidates" if are_candidates(result.verdict) else "found"
+        rows[name] = [image, *detector, overlay(image, result.masks[name], tint)]
     titles = ["render", *(["2D detector"] if result.probabilities else []), found]
     contact_sheet(path, rows, titles=titles)
 

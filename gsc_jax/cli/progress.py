@@ -5,9 +5,6 @@ from typing import TextIO
 
 from tqdm import tqdm
 
-VIEW_STAGES = ("views", "masks", "render")
-"""Stages that count views."""
-
 
 class Bars:
     """A `Progress` that draws a bar per stage on a terminal, by default stderr, until closed."""
@@ -27,7 +24,7 @@ class Bars:
                 desc=f"{stage:8}",
                 total=total,
                 initial=done,
-                unit="view" if stage in VIEW_STAGES else "it",
+                unit="view" if stage in ("views", "masks", "render") else "it",
                 file=self._stream,
                 disable=None,
             )

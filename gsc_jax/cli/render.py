@@ -41,10 +41,9 @@ def run_render(options: Render, *, monitor: Monitor) -> tuple[list[str], list[st
     with replacing(options.out, report=REPORT) as folder:
         if options.cameras is None:
             save_cameras(folder / CAMERAS, cameras)
-        for done, camera in enumerate(cameras, start=1):
+        for camera in monitor.track("render", cameras, len(cameras)):
             image, _ = render(gaussians, camera, background=options.background, near=options.near)
             write_image(image_path(folder, camera.name), np.asarray(image))
-            monitor.progress("render", done, len(cameras))
         command = dataclasses.asdict(options)
         write_json(folder / REPORT, {"command": command, "versions": versions()})
     images = "1 image" if len(cameras) == 1 else f"{len(cameras)} images"

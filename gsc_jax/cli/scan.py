@@ -141,12 +141,9 @@ def _scanned(
     ray.data.DataContext.get_current().enable_progress_bars = False
     blocks = min(len(entries), MAX_BLOCKS)
     dataset = ray.data.from_items(list(entries), override_num_blocks=blocks)
-    rows = []
-    monitor.progress("scenes", 0, len(entries))
-    for row in scan(dataset, settings=settings).iter_rows():
-        rows.append({name: row[name] for name in ("id", "key", "status", "error_class")})
-        monitor.progress("scenes", len(rows), len(entries))
-    return rows
+    rows = monitor.track("scenes", scan(dataset, settings=settings).iter_rows(), len(entries))
+    names = "id", "key", "status", "error_class"
+    return [{name: row[name] for name in names} for row in rows]
 
 
 def _summary(

@@ -45,7 +45,6 @@ OUTPUTS = {
 FILES = tuple(name for name in OUTPUTS if not name.endswith("/"))
 BY_CAMERA = tuple(name.rstrip("/") for name in OUTPUTS if name.endswith("/"))
 """Folders with a picture per camera."""
-PICTURES = (".png", ".jpg")
 EVALUATION, EVALUATION_MARK = "evaluation.json", '{\n  "folder": '
 """Scores of the results, and their beginning; they do not apply to the results of another run."""
 
@@ -188,7 +187,7 @@ def _write(path: Path, content: bytes) -> None:
 def _leftovers(out: Path, report: str, names: Sequence[str]) -> list[str]:
     """Pictures and scores of an earlier run that a run which writes `names` does not replace."""
     digests = ownership.listed_outputs(out, report)
-    old = [name for name in digests if name not in names and name.endswith(PICTURES)]
+    old = [name for name in digests if name not in names and name.endswith((".png", ".jpg"))]
     scored = "result.json" in digests and ownership.has_mark(out / EVALUATION, EVALUATION_MARK)
     return [
         *(name for name in old if ownership.is_output(out, name, digests)),

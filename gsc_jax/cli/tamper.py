@@ -101,11 +101,8 @@ def _write(
     gaussians, names = jax.device_put(edited.gaussians), [camera.name for camera in cameras]
 
     def masks(labels: np.ndarray, stage: str) -> np.ndarray:
-        shown = []
-        for camera in cameras:
-            shown.append(truth_mask(gaussians, camera, labels, near=options.near))
-            monitor.progress(stage, len(shown), len(cameras))
-        return np.stack(shown)
+        views = monitor.track(stage, cameras, len(cameras))
+        return np.stack([truth_mask(gaussians, c, labels, near=options.near) for c in views])
 
     truth = masks(edited.labels, "truth")
     write_scene(folder, edited.gaussians, cameras, edited.labels)

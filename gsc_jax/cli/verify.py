@@ -32,10 +32,10 @@ class Verify:
 def run_verify(options: Verify) -> tuple[list[str], list[str]]:
     """Compare all digests: lines to print, and warnings; a changed file raises InputError."""
     out = options.folder
-    report = next((name for name in REPORTS if listed_outputs(out, name)), None)
-    if report is None:
+    found = {name: digests for name in REPORTS if (digests := listed_outputs(out, name))}
+    if not found:
         raise InputError(f"{out}: holds no results with digests ({', '.join(REPORTS)})")
-    outputs = listed_outputs(out, report)
+    report, outputs = next(iter(found.items()))
     del outputs[report]
     for name, sha256 in outputs.items():
         if not is_inside(out, name):

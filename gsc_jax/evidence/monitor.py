@@ -4,7 +4,10 @@ import contextlib
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from typing import TypeVar
+
+Item = TypeVar("Item")
 
 Progress = Callable[[str, int, int], None]
 """Called with (stage, done, total) as a run proceeds; the command line draws bars with it."""
@@ -43,6 +46,13 @@ class Monitor:
         """Report that `done` of `total` items of a stage are finished."""
         if self._progress is not None:
             self._progress(stage, done, self._expected.get(stage, total))
+
+    def track(self, stage: str, items: Iterable[Item], total: int, done: int = 0) -> Iterator[Item]:
+        """Yield the items of a stage, of which `done` are finished, and report the progress."""
+        self.progress(stage, done, total)  # shown before a slow first item ends
+        for count, item in enumerate(items, start=done + 1):
+            yield item
+            self.progress(stage, count, total)
 
     def expect(self, stage: str, total: int) -> None:
         """Report the progress of a stage from now on as the first part of `total` items."""

@@ -1,8 +1,7 @@
 """Observation of a scene: render every view, run the 2D detector, lift its masks to the Gaussians.
 
 No other step renders for the optimisation. An observation holds the votes (GS-Checker, eq. 5) and
-the evidence, which replaces rendering in eq. 9 and 10; any estimator, under any configuration, can
-start from it.
+the evidence, which replaces rendering in eq. 9 and 10; any estimator of any configuration uses it.
 """
 
 import dataclasses
@@ -112,12 +111,9 @@ def observe(
             mask = store.get(MAP, camera.name) > 0.5
             store.put(EVIDENCE, camera.name, sparse(view_evidence(view, mask)))
 
-    # Shown before a slow first view ends.
-    monitor.progress("views", len(cameras) - len(missing), len(cameras))
     with view_threads() as pool:
-        lifted = enumerate(bounded_map(pool, lift, detect()), len(cameras) - len(missing) + 1)
-        for done, _ in lifted:
-            monitor.progress("views", done, len(cameras))
+        lifted = bounded_map(pool, lift, detect())
+        list(monitor.track("views", lifted, len(cameras), len(cameras) - len(missing)))
     shape = len(names), len(gaussians)
     evidence = SparseEvidence(entry=lambda view: store.get(EVIDENCE, names[view]), shape=shape)
     return Observation(

@@ -130,17 +130,13 @@ def _camera(image: _Image, intrinsics: _Intrinsics, folder: Path) -> Camera:
             "undistort images and model first (colmap image_undistorter)"
         )
     *focal, cx, cy = params
+    if not any(pose[:4]):
+        problem = "the quaternion of its pose is 0, expected a rotation; export it again"
+        raise InputError(f"{where}: {problem}")
     try:
-        world = _camera_to_world(np.array(pose))
+        with np.errstate(all="ignore"):  # `pinhole` refuses what is not finite
+            rotation = Rotation.from_quat(pose[:4], scalar_first=True).as_matrix()
+            world = np.column_stack([rotation.T, -rotation.T @ pose[4:]])
         return pinhole(name, world, focal=(focal[0], focal[-1]), center=(cx, cy), size=size)
     except ValueError as error:
         raise InputError(f"{where}: {error}") from error
-
-
-def _camera_to_world(pose: np.ndarray) -> np.ndarray:
-    """The inverse of a pose, shape (3, 4)."""
-    if not pose[:4].any():
-        raise ValueError("the quaternion of its pose is 0, expected a rotation; export it again")
-    with np.errstate(all="ignore"):  # `pinhole` refuses what is not finite
-        rotation = Rotation.from_quat(pose[[1, 2, 3, 0]]).as_matrix()
-        return np.column_stack([rotation.T, -rotation.T @ pose[4:]])

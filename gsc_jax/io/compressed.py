@@ -29,7 +29,7 @@ SUFFIXES = (".spz", ".sog", *READERS)
 CHUNK_ROWS = 256
 CHUNK_BYTES, VERTEX_BYTES, SH_BYTES = 18 * 4, 4 * 4, (9, 24, 45)
 """Bytes per row of the elements of a .compressed.ply, those of `sh` for degree 1 to 3."""
-SPZ_MAGIC, SPZ_HEADER_BYTES, ZSTD_HEADER_BYTES = b"NGSP", 16, 18
+SPZ_MAGIC, ZSTD_HEADER_BYTES = b"NGSP", 18
 BYTES_PER_BYTE = 16
 """Memory per byte of quantised Gaussians: each becomes a float32, in up to four arrays."""
 BLOCK_BYTES = 2**20
@@ -72,8 +72,7 @@ def _gsply(path: Path) -> Any:
 def is_compressed_ply(ply: "PlyData", path: Path) -> bool:
     """Return whether a parsed PLY holds packed Gaussians, as PlayCanvas and SuperSplat write them.
 
-    A layout that differs from the one that gsply assumes raises InputError: gsply would read out of
-    bounds.
+    A layout that gsply does not assume raises InputError: gsply would read out of bounds.
     """
     if "vertex" not in ply or "packed_position" not in ply["vertex"]:
         return False
@@ -97,23 +96,19 @@ def is_compressed_ply(ply: "PlyData", path: Path) -> bool:
 
 def _check_spz(path: Path, max_bytes: int | None) -> None:
     """Refuse a .spz whose streams expand to more than is allowed; nothing of them is kept."""
-    with path.open("rb") as file:
-        header = file.read(SPZ_HEADER_BYTES)
-    if header.startswith(SPZ_MAGIC):
-        return _check_spz_streams(path, max_bytes)
-    size = 0
+    data = path.read_bytes()
+    if data.startswith(SPZ_MAGIC):
+        _check_spz_streams(data, path, max_bytes)
+        return
     with gzip.open(path) as stream:
-        while block := stream.read(BLOCK_BYTES):
-            size += len(block)
-            check_allocation(path, BYTES_PER_BYTE * size, max_bytes)
-    return None
+        while stream.read(BLOCK_BYTES):
+            check_allocation(path, BYTES_PER_BYTE * stream.tell(), max_bytes)
 
 
-def _check_spz_streams(path: Path, max_bytes: int | None) -> None:
+def _check_spz_streams(data: bytes, path: Path, max_bytes: int | None) -> None:
     """Check the sizes in the table of a .spz of version 4, and those that its streams state."""
     import zstandard
 
-    data = path.read_bytes()
     streams, table = struct.unpack_from("<BI", data, 15)
     sizes = list(struct.iter_unpack("<QQ", data[table : table + 16 * streams]))
     check_allocation(path, BYTES_PER_BYTE * sum(size for _, size in sizes), max_bytes)

@@ -32,7 +32,6 @@ TRANSPARENT_LEVEL = {"1": 1 / 255, "L;2": 85, "L;4": 17, "RGB;16B": 1 / 256}
 MIN_IS_WHITE = (262, 0)
 """TIFF tag and value of inverted levels, which Pillow ignores for 16 bits."""
 _OPENING = threading.Lock()
-JPEG_QUALITY = 90
 BYTES_PER_PIXEL = 32
 """Memory of a coloured mask while it is reduced to one channel and resized, with 8 bytes each."""
 MAX_PART_BYTES, MAX_NAME_BYTES = 240, 1000
@@ -51,8 +50,7 @@ def read_probability(
 
     Grey levels of 1, 8 or 16 bits are divided by the largest level of their type; floats are taken
     as they are. Colour is accepted where the channels are equal, or where the only colours are
-    black and one other, which then means tampered (the usual palette mask). Transparent pixels are
-    authentic.
+    black and one other, for tampered (the usual palette mask). Transparent pixels are authentic.
 
     Args:
         path: An image file in one of `IMAGE_SUFFIXES`.
@@ -194,7 +192,7 @@ def _grey(pixels: np.ndarray, path: Path) -> np.ndarray:
 def _write(path: str | Path, pixels: np.ndarray, kind: str = "PNG") -> None:
     from PIL import Image
 
-    options = {"quality": JPEG_QUALITY, "subsampling": 0}  # sampled colours blur outlines
+    options = {"quality": 90, "subsampling": 0}  # sampled colours blur outlines
     # 16 bits hardly compress: level 6 takes 4 times as long for 6 % fewer bytes.
     options["compress_level"] = 1 if pixels.dtype == np.uint16 else 6
     with atomic(path) as temporary:

@@ -22,7 +22,6 @@ from gsc_jax.scene import Gaussians, InputError
 from gsc_jax.scene.gaussians import concatenate
 
 META, INDEX = "meta.json", "lod-meta.json"
-FINEST = "0"
 BYTES_PER_PIXEL = 80
 """Memory per pixel of the images of a SOG: the pixels, and the Gaussian that they describe."""
 TABLES = {
@@ -61,7 +60,7 @@ def _read_streamed(
     while nodes:
         node = nodes.pop()
         nodes += node.get("children", [])
-        if part := node.get("lods", {}).get(FINEST):
+        if part := node.get("lods", {}).get("0"):
             ranges[index["filenames"][part["file"]]].append((part["offset"], part["count"]))
     if environment := index.get("environment"):
         ranges[environment] = [(0, None)]

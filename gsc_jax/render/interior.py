@@ -1,8 +1,7 @@
 """Cameras inside a room, where those of an orbit would look at its walls from behind.
 
 Surfaces are found along rays, from the Gaussians that cover most: along a ray, each has the opacity
-of the point nearest to its centre in its own metric, and the surface is where half of the light is
-absorbed.
+of the point nearest to its centre in its own metric; at the surface, half of the light is absorbed.
 """
 
 import dataclasses

@@ -56,8 +56,7 @@ def project(gaussians: Gaussians, camera: Camera, *, near: float = NEAR) -> Spla
     """Project N Gaussians into a view.
 
     Gaussians with parameters that are not finite are not visible, nor are those closer than the
-    near plane, in world units. Raises ValueError for wrong shapes, and for a near plane that is not
-    positive.
+    near plane, in world units. Wrong shapes and a near plane that is not positive raise ValueError.
     """
     check_shapes(gaussians)
     if not isinstance(near, Tracer) and not near > 0:

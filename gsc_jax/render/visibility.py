@@ -43,8 +43,7 @@ def check_views(
     """Check the share of Gaussians that are visible from at least one camera; return warnings.
 
     They are one line each: cameras that see nothing, a low share, a near plane (in world units)
-    that cuts most away. A share below 1 %, also for want of cameras or Gaussians, raises
-    InputError.
+    that cuts most away. InputError for a share below 1 %, also for want of cameras or Gaussians.
     """
     check_shapes(gaussians)
     if not cameras:

@@ -16,7 +16,7 @@ from typing import Any
 
 from gsc_jax.cli.report import wording
 from gsc_jax.cli.report.charts import score_histogram
-from gsc_jax.cli.report.thumbnails import LAYERS, Thumbnail, thumbnails
+from gsc_jax.cli.report.thumbnails import LAYERS, thumbnails
 from gsc_jax.cli.report.wording import Located
 from gsc_jax.cli.staging import OUTPUTS
 from gsc_jax.evidence.monitor import Monitor
@@ -36,11 +36,8 @@ def report_page(
 ) -> str:
     """Render the page of a run, whose images are in `folder`, with the content of result.json."""
     result, counts, views = located.result, report["counts"], report["per_view"]
-    images: list[list[Thumbnail]] = []
-    monitor.progress("report", 0, len(views))
-    for view in thumbnails(folder, [view["name"] for view in views]):
-        images.append(view)
-        monitor.progress("report", len(images), len(views))
+    found = thumbnails(folder, [view["name"] for view in views])
+    images = list(monitor.track("report", found, len(views)))
     present = {image.layer for view in images for image in view}
     return complete_page(
         "gsc_jax.cli.report",

@@ -35,46 +35,17 @@
     stage.querySelector("figcaption").replaceChildren(view.querySelector(".facts").cloneNode(true));
     const order = views();
     document.getElementById("place").textContent = `${order.indexOf(view) + 1} of ${order.length}`;
-    scrollStrip();
-    draw();
-  }
-
-  // Scroll the strip to the selected view; `scrollIntoView` would also scroll the page.
-  function scrollStrip() {
+    // Scroll the strip to the selected view; `scrollIntoView` would also scroll the page.
     const inner = view.getBoundingClientRect();
     const outer = strip.getBoundingClientRect();
     strip.scrollTop += Math.min(0, inner.top - outer.top) + Math.max(0, inner.bottom - outer.bottom);
     strip.scrollLeft += Math.min(0, inner.left - outer.left) + Math.max(0, inner.right - outer.right);
+    draw();
   }
 
   function step(by) {
     const order = views();
     select(order[(order.indexOf(view) + by + order.length) % order.length]);
-  }
-
-  function arrange() {
-    const sign = sort.value === "tampered" ? -1 : 1;
-    const rank = (item) => sign * Number(item.dataset[sort.value]);
-    const order = views().sort((a, b) => rank(a) - rank(b) || a.dataset.order - b.dataset.order);
-    strip.replaceChildren(...order);
-    select(view);
-  }
-
-  function pressed(event) {
-    const target = event.target;
-    if (event.ctrlKey || event.altKey || event.metaKey || target.localName === "select") return;
-    radios[Number(event.key) - 1]?.click();
-    const by = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
-    if (!by || target.localName === "input") return; // arrows also select a radio button
-    event.preventDefault();
-    step(by);
-  }
-
-  function clicked(event) {
-    const link = event.target.closest("a");
-    if (!link || event.ctrlKey || event.metaKey || event.shiftKey) return;
-    event.preventDefault();
-    select(link.parentNode);
   }
 
   document.body.classList.add("live");
@@ -83,9 +54,28 @@
   radios.forEach((radio) => radio.addEventListener("change", draw));
   document.getElementById("previous").addEventListener("click", () => step(-1));
   document.getElementById("next").addEventListener("click", () => step(1));
-  sort.addEventListener("change", arrange);
-  strip.addEventListener("click", clicked);
-  document.addEventListener("keydown", pressed);
+  sort.addEventListener("change", () => {
+    const sign = sort.value === "tampered" ? -1 : 1;
+    const rank = (item) => sign * Number(item.dataset[sort.value]);
+    const order = views().sort((a, b) => rank(a) - rank(b) || a.dataset.order - b.dataset.order);
+    strip.replaceChildren(...order);
+    select(view);
+  });
+  strip.addEventListener("click", (event) => {
+    const link = event.target.closest("a");
+    if (!link || event.ctrlKey || event.metaKey || event.shiftKey) return;
+    event.preventDefault();
+    select(link.parentNode);
+  });
+  document.addEventListener("keydown", (event) => {
+    const target = event.target;
+    if (event.ctrlKey || event.altKey || event.metaKey || target.localName === "select") return;
+    radios[Number(event.key) - 1]?.click();
+    const by = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
+    if (!by || target.localName === "input") return; // arrows also select a radio button
+    event.preventDefault();
+    step(by);
+  });
   select(views()[0]); // in which the labelled Gaussians are largest
 }
 addEventListener("beforeprint", () => document.querySelectorAll("details").forEach((part) => (part.open = true)));

@@ -25,7 +25,6 @@ MAX_SIDE_PIXELS, MIN_SIDE_PIXELS = 320, 120
 """Longest side of a thumbnail: the width of a column, and what is still recognisable."""
 FULL_SIZE_VIEWS = 150
 """Views up to which thumbnails have full size: a test checks that 200 take less than 14 MB."""
-JPEG_QUALITY = 76
 GREY_LEVELS = 8
 """Grey levels of a mask: enough for smooth edges."""
 
@@ -79,7 +78,7 @@ def data_uri(path: Path, side: int) -> str:
     small.thumbnail((side, side), Image.Resampling.BOX)
     file = io.BytesIO()
     if lossy:
-        small.save(file, "JPEG", quality=JPEG_QUALITY, optimize=True)
+        small.save(file, "JPEG", quality=76, optimize=True)
     else:
         small.quantize(GREY_LEVELS).save(file, "PNG", optimize=True)
     text = base64.b64encode(file.getvalue()).decode()

@@ -62,7 +62,6 @@ def pose(camera: Camera, means: Array, *, up: Array, near: float = NEAR) -> Pose
 
 MAX_DEPTH_SAMPLES = 20_000
 """Gaussians from which the depth of each view is estimated; more do not change a median."""
-LEGEND_COLOURS = 9
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -150,7 +149,7 @@ def count_sentence(score: np.ndarray, threshold: float) -> str:
 
 def legend() -> str:
     """The colours of the heat map with their scores, as HTML."""
-    levels = np.rint(255 * heat(np.linspace(0, 1, LEGEND_COLOURS))).astype(int)
+    levels = np.rint(255 * heat(np.linspace(0, 1, 9))).astype(int)
     colours = ", ".join(f"rgb({red}, {green}, {blue})" for red, green, blue in levels)
     return (
         '<div style="padding: 0 1em 0.5em; font-size: 0.85em">'

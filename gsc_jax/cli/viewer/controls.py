@@ -17,7 +17,6 @@ from gsc_jax.cli.viewer.splats import LAYERS, Layer, add_splats
 if TYPE_CHECKING:
     import viser
 
-THRESHOLD_STEP = 0.001
 STEPS = {"previous": -1, "here": 0, "next": 1}
 AT_THRESHOLD: tuple[Layer, ...] = ("result", "tampered only", "authentic only")
 """Layers that depend on the threshold."""
@@ -39,7 +38,7 @@ def add_layer_controls(server: "viser.ViserServer", contents: Contents) -> Layer
     rgbs, _ = contents.colours(LAYERS[0], contents.threshold)
     node = add_splats(server, "/gaussians", dataclasses.replace(contents.splats, rgbs=rgbs))
     layer = gui.add_dropdown("show", LAYERS, initial_value=LAYERS[0])
-    threshold = gui.add_slider("threshold", 0.0, 1.0, THRESHOLD_STEP, contents.threshold)
+    threshold = gui.add_slider("threshold", 0.0, 1.0, step=0.001, initial_value=contents.threshold)
     count = gui.add_markdown("")
     gui.add_html(legend())
     lock, selected = threading.Lock(), np.zeros(len(contents.score), bool)

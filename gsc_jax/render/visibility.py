@@ -19,7 +19,7 @@ MIN_SHARE, LOW_SHARE = 0.01, 0.1
 """Shares of the Gaussians, seen by all cameras together, below which the check fails or warns; the
 cameras of a real capture see most of its scene."""
 MAX_BLIND = 1 / 3
-"""Share of cameras that see next to nothing: 0 in five captures, 2/3 with those of another size."""
+"""Share of cameras that see too little: 0 in five captures, 2/3 with those of another size."""
 
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 CONVENTIONS = {
@@ -71,7 +71,7 @@ def check_views(
         names = ", ".join(blind[:5]) + (", ..." if len(blind) > 5 else "")
         advice = _better_convention(points, cameras)
         advice = advice or NO_CONVENTION * (len(blind) > MAX_BLIND * len(cameras))
-        warnings.append(f"{len(blind)} of {len(cameras)} cameras see next to nothing: {names}{advice}")
+        warnings.append(f"{len(blind)} of {len(cameras)} cameras see too little: {names}{advice}")
     return warnings
 
 

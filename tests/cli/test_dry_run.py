@@ -32,12 +32,10 @@ def test_it_warns_of_what_a_run_warns_of_once(case, tmp_path):
     cameras[2]["position"] = [1000.0, 1000.0, 1000.0]
     (tmp_path / "cameras.json").write_text(json.dumps(cameras))
     argv = *given(case, cameras=tmp_path / "cameras.json"), "--out", tmp_path / "out"
-    assert run(*argv, "--dry-run").err.count("1 of 3 cameras see next to nothing") == 1
+    assert run(*argv, "--dry-run").err.count("1 of 3 cameras see too little") == 1
     assert run(*argv).code == 0
     warnings = report(tmp_path / "out")["warnings"]
-    assert (
-        sum("1 of 3 cameras see next to nothing" in warning for warning in warnings) == 1
-    )
+    assert sum("1 of 3 cameras see too little" in warning for warning in warnings) == 1
 
 
 def test_existing_results_stay(case, found):

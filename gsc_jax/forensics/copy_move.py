@@ -115,8 +115,11 @@ def _nearest(described: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarr
     alone, rows = new & np.roll(new, -1), np.empty(len(order), np.int32)
     rows[order] = np.where(new, np.roll(order, -1), np.roll(order, 1))
     points = order[new]
-    points = points[order_of_leaves(described[points])]
-    tree = KDTree(described[points], leafsize=LEAF, balanced_tree=False)
+    described = described[points]  # no second copy beside the float64 of a tree
+    leaves = order_of_leaves(described)
+    points, described = points[leaves], described[leaves]
+    tree = KDTree(described, leafsize=LEAF, balanced_tree=False)
+    del described
     found = tree.query(tree.data, k=2, distance_upper_bound=radius, workers=workers())
     far, near = map(np.asarray, found)
     single, distances = np.isin(points, order[alone]), np.zeros(len(order))

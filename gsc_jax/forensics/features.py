@@ -30,7 +30,7 @@ MAX_DEVIATION = 6.0
 """Clip standardised features to this many MADs, since only the fact of an outlier matters."""
 SURROUNDINGS = ("own", "mean", "spread", "second", "fourth")
 """A number itself, its mean and spread over the neighbours, its means over 2 and 4 steps."""
-COLUMNS_PER_PASS = 8
+COLUMNS_PER_PASS = 4
 """Columns averaged at once in a thread, which bounds the memory of intermediate results."""
 MAX_BYTES_IN_MEMORY = 2**28
 """Size of the features in memory; about 350,000 Gaussians."""

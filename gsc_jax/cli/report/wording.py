@@ -93,7 +93,7 @@ def meaning(verdict: float, *, masks: bool) -> str:
     """How often authentic and edited test scenes have this outcome, with masks or without."""
     found = outcome(verdict)
     assert found is not None
-    counts, totals = COUNTS[masks][found], _totals(masks)
+    counts, totals = COUNTS[masks][found], list(map(sum, zip(*COUNTS[masks].values(), strict=True)))
     authentic, edited = (count / total for count, total in zip(counts, totals, strict=True))
     weak = max(authentic, edited) < MIN_RATIO * min(authentic, edited)
     return (
@@ -103,17 +103,12 @@ def meaning(verdict: float, *, masks: bool) -> str:
     )
 
 
-def _totals(masks: bool) -> list[int]:
-    """Numbers of authentic and of edited test scenes."""
-    return [sum(counts) for counts in zip(*COUNTS[masks].values(), strict=True)]
-
-
 def conflict(result: Result) -> str | None:
     """A sentence where the masks say that the scene was edited, and its attributes do not."""
     prior = result.prior.verdict if result.prior and result.probabilities else None
     if prior is None or outcome(prior) != "none" or outcome(result.verdict) != "evidence":
         return None
-    missed, tested = COUNTS[False]["none"][1], _totals(False)[1]
+    missed, tested = COUNTS[False]["none"][1], sum(edited for _, edited in COUNTS[False].values())
     return (
         f"The masks show an edit, the attributes of the Gaussians alone do not "
         f"({percent(prior)}); in tests, they missed {missed} of {tested} edits."

@@ -59,4 +59,4 @@ def _compare(path: Path, sha256: Any, report: str) -> None:
     found = content_digest(path)
     if found != sha256:
         sums = f"its SHA-256 is {found[:16]}..., in {report} {str(sha256)[:16]}..."
-        raise InputError(f"{path}: has changed since the run: {sums}; rely on the original only")
+        raise InputError(f"{path}: has changed since the run: {sums}; use an unchanged copy")

@@ -217,7 +217,9 @@ def _identified(places: dict[str, Path | None]) -> Row:
         "key": hashlib.sha256(repr(sorted(digests.items())).encode()).hexdigest(),
         "sha256": digests["path"],
         "bytes": content_bytes(path),
-        "format": "".join(path.suffixes[-2:]).lower().lstrip(".").removeprefix("point_cloud."),
+        "format": "sog"
+        if path.is_dir()
+        else "".join(path.suffixes[-2:]).lower().lstrip(".").removeprefix("point_cloud."),
     }
 
 

@@ -17,9 +17,7 @@ from gsc_jax.io.transforms import read_transforms
 from gsc_jax.io.validation import shown
 from gsc_jax.scene import Camera, InputError
 
-CAMERAS_FILES = ("cameras.json", "views.json")
-"""Of the trainer, `render` or `tamper`, and of `locate`."""
-TRANSFORMS_FILES = ("transforms.json", "transforms_train.json")
+OTHER_FILES = ("transforms.json", "transforms_train.json", "views.json")
 COLMAP_FOLDERS = (".", "sparse/0", "0", "sparse", "colmap/sparse/0")
 """Subfolders that may hold a COLMAP model; the first that does is used."""
 
@@ -79,10 +77,9 @@ def _find(path: Path) -> Path:
         raise InputError(f"{path}: no such file or folder, expected cameras; check the path")
     if not path.is_dir():
         return path.parent if path.name in MODEL_FILES else path
-    for name in CAMERAS_FILES:
-        if (path / name).is_file():
-            return path / name
-    found = [path / name for name in TRANSFORMS_FILES if (path / name).is_file()]
+    if (path / "cameras.json").is_file():
+        return path / "cameras.json"
+    found = [path / name for name in OTHER_FILES if (path / name).is_file()]
     found += [path / name for name in COLMAP_FOLDERS if is_colmap(path / name)][:1]
     if len(found) != 1:
         several = f"several sets of cameras ({', '.join(map(str, found))}); name one of them"

@@ -56,32 +56,36 @@ def _read_streamed(
     folder: Path, decode: Callable[[bytes], Gaussians], max_bytes: int | None
 ) -> Gaussians:
     index = read_table(folder / INDEX, remedy="export the scene again", max_bytes=max_bytes)
-    ranges, nodes = defaultdict(list), [index["tree"]]
+    files, ranges, nodes = dict(enumerate(index["filenames"])), defaultdict(list), [index["tree"]]
     while nodes:
         node = nodes.pop()
-        nodes += node.get("children", [])
+        nodes += reversed(node.get("children", []))
         if part := node.get("lods", {}).get("0"):
-            ranges[index["filenames"][part["file"]]].append((part["offset"], part["count"]))
+            place = _chunk(folder, files[part["file"]])
+            ranges[place].append((int(part["offset"]), int(part["count"])))
     if environment := index.get("environment"):
-        ranges[environment] = [(0, None)]
+        ranges[_chunk(folder, environment)].append((0, None))
     parts, needed = [], 0
-    for name, places in ranges.items():
-        data = _bundle(_chunk(folder, name), max_bytes)
-        _check_bundle(data, folder / name, max_bytes)
+    for place, rows in ranges.items():
+        left = None if max_bytes is None else max_bytes - needed
+        data = _bundle(place, left)
+        _check_bundle(data, place, left)
         chunk = decode(data)
         needed += 2 * sum(leaf.nbytes for leaf in jax.tree.leaves(chunk))
         check_allocation(folder, needed, max_bytes)
-        parts += _rows(chunk, places, name)
+        parts += _rows(chunk, rows, place)
+    if not parts:
+        raise ValueError("no Gaussians of level 0")
     return concatenate(parts)
 
 
-def _rows(chunk: Gaussians, places: list[tuple[int, int | None]], name: str) -> Iterator[Gaussians]:
+def _rows(chunk: Gaussians, places: list[Any], folder: Path) -> Iterator[Gaussians]:
     """The rows of each place, an offset and a count, of which None is all of the rest."""
     end = 0
     for start, count in sorted(places):
         stop = len(chunk) if count is None else start + count
         if not end <= start <= stop <= len(chunk):
-            raise ValueError(f"no rows {start} to {stop} in {name}, or they belong to two nodes")
+            raise ValueError(f"{folder.name} has no rows {start} to {stop}, or two nodes have")
         end = stop
         yield chunk.take(np.s_[start:stop])
 
@@ -91,14 +95,15 @@ def _chunk(folder: Path, name: str) -> Path:
     path = folder / name
     if path.name != META or not path.resolve().is_relative_to(folder.resolve()):
         raise ValueError(f"{name} is not a {META} inside the folder")
-    return path.parent
+    return path.resolve().parent
 
 
 def _bundle(folder: Path, max_bytes: int | None) -> bytes:
     """The bundle of a folder of a meta.json and its images."""
     stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w") as archive:
-        for path in (folder / META, *sorted(folder.glob("*.webp"))):
+    images = sorted(p for p in folder.glob("*.webp") if p.resolve().parent == folder.resolve())
+    with zipfile.ZipFile(stream, "w", strict_timestamps=False) as archive:
+        for path in (folder / META, *images):
             size = existing_file(path, expected="a part of a SOG").stat().st_size
             check_allocation(folder, 2 * (stream.tell() + size), max_bytes)
             archive.write(path, path.name)

@@ -1,6 +1,6 @@
 """JSON and TOML files as trees of dictionaries, lists, texts and numbers.
 
-Trees of more than 100 levels and integers of more than 64 bits are refused, so that every tree that
+Trees of more than 200 levels and integers of more than 64 bits are refused, so that every tree that
 is returned can be printed, validated and converted to floats.
 """
 

@@ -65,7 +65,7 @@ def check_views(
         warnings.append(_near_message(depths, near))
     if share < LOW_SHARE:
         warnings.append(f"the cameras together see only {share:.1%} of the Gaussians")
-    seeing = (depths > 0).mean(axis=1) >= MIN_SHARE
+    seeing = (depths > 0).mean(axis=1) >= min(MIN_SHARE, 0.1 / len(cameras))
     blind = [camera.name for camera, sees in zip(cameras, seeing, strict=True) if not sees]
     if blind:
         names = ", ".join(blind[:5]) + (", ..." if len(blind) > 5 else "")

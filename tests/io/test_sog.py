@@ -2,6 +2,7 @@
 
 import io
 import json
+import os
 import shutil
 import types
 import zipfile
@@ -53,10 +54,22 @@ def test_the_finest_level_and_the_environment_are_read(streamed):
     assert not np.asarray(found.sh[ROWS:, 1:]).any()  # the environment has no such bands
 
 
-def test_a_chunk_is_a_scene_of_its_own(streamed):
-    counts = [len(load_ply(streamed / name)) for name in CHUNKS]
-    assert sum(counts) == ROWS
-    assert min(counts) > 0
+def test_the_chunks_follow_in_the_order_of_the_tree(streamed):
+    parts = [load_ply(streamed / name) for name in CHUNKS]
+    assert min(map(len, parts)) > 0
+    means = np.concatenate([part.means for part in parts])
+    np.testing.assert_array_equal(load_ply(streamed).means[:ROWS], means)
+
+
+def test_files_of_any_date_are_read_and_links_to_elsewhere_are_not(streamed):
+    for path in streamed.rglob("*"):
+        os.utime(path, (0, 0))
+    assert len(load_ply(streamed)) == ROWS + ENVIRONMENT
+    image = streamed / "0_0" / "quats.webp"
+    image.rename(streamed.parent / "quats.webp")
+    image.symlink_to(streamed.parent / "quats.webp")
+    with pytest.raises(InputError, match=r"quats\.webp"):
+        read_ply(streamed)
 
 
 def test_the_files_inside_are_no_scenes(streamed):
@@ -85,6 +98,13 @@ def damaged(index: dict, name: str) -> dict:
         leaves[0].update(leaves[1])
     elif name == "no such chunk":
         leaves[0]["file"] = 99
+    elif name == "a chunk before the first":
+        leaves[0]["file"] = -1
+    elif name == "no count":
+        leaves[0]["count"] = None
+    elif name == "no finest level":
+        index["tree"] = {}
+        del index["environment"]
     elif name == "no tree":
         del index["tree"]
     return index
@@ -95,10 +115,13 @@ def damaged(index: dict, name: str) -> dict:
     [
         ("elsewhere", r"\.\./other/meta\.json is not a meta\.json inside the folder"),
         ("the index again", r"lod-meta\.json is not a meta\.json inside"),
-        ("too many rows", "or they belong to two nodes"),
-        ("rows before the first", "or they belong to two nodes"),
-        ("rows of two nodes", "or they belong to two nodes"),
+        ("too many rows", "or two nodes have"),
+        ("rows before the first", "or two nodes have"),
+        ("rows of two nodes", "or two nodes have"),
         ("no such chunk", "damaged or unknown"),
+        ("a chunk before the first", "damaged or unknown"),
+        ("no count", "damaged or unknown"),
+        ("no finest level", "no Gaussians of level 0"),
         ("no tree", r"'tree'"),
     ],
 )

@@ -82,6 +82,22 @@ def test_many_blind_cameras_are_said_to_be_of_another_scene():
     assert "belong together" in warning
 
 
+def test_many_cameras_of_which_each_sees_little_are_of_the_scene():
+    """As those of a flight over a city."""
+    places = np.stack(np.meshgrid(*[np.arange(20.0)] * 2), axis=-1).reshape(-1, 2)
+    grid = np.random.default_rng(0).uniform(-0.5, 19.5, (20_000, 2))
+    scene = dataclasses.replace(
+        random_scene(len(grid)), means=np.column_stack([grid, 0 * grid[:, 0]]).astype(np.float32)
+    )
+    scene = dataclasses.replace(scene, logit_opacities=np.full(len(grid), 3.0, np.float32))
+    template, cameras = camera(), []
+    for x, y in places:
+        viewmat = np.eye(4, dtype=np.float32)
+        viewmat[:3, 3] = -x, -y, 1
+        cameras.append(dataclasses.replace(template, viewmat=viewmat))
+    assert not any("belong" in warning for warning in check_views(scene, cameras))
+
+
 def test_scales_that_are_not_logarithms_give_a_warning():
     scene = random_scene(400)
     cameras = orbit_cameras(scene, 4)

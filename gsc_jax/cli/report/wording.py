@@ -39,7 +39,7 @@ RELIABILITY: dict[Reliability, tuple[str, str, str]] = {
 """Sign, name and explanation of each reliability of a mask, the most useful first."""
 TRACES = {
     "copy-move": "A copy of a part of a scene, for example in a hole, has the same stored values.",
-    "quantisation": "Two files were joined; if much is marked, that part may be the original.",
+    "quantisation": "Two files may have been joined; a large marked part may be the original.",
     "sh-degree": "Gaussians of another degree of spherical harmonics come from another model.",
     "row-order": "Training stores no spatial order; an appended object occupies consecutive rows.",
     "quaternion-convention": "Rotations in another convention were written by another program.",

@@ -217,9 +217,7 @@ def _identified(places: dict[str, Path | None]) -> Row:
         "key": hashlib.sha256(repr(sorted(digests.items())).encode()).hexdigest(),
         "sha256": digests["path"],
         "bytes": content_bytes(path),
-        "format": "sog"
-        if path.is_dir()
-        else "".join(path.suffixes[-2:]).lower().lstrip(".").removeprefix("point_cloud."),
+        "format": "".join(path.suffixes[-2:]).lower().lstrip(".").removeprefix("point_cloud."),
     }
 
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 INRIA = (*POSITION, *NORMAL, *DC, *REST, "opacity", *SCALE, *ROTATION)
 HASH_FACTOR = np.uint64(0x9E3779B97F4A7C15)
 """Odd, so that a hash of several columns keeps all bits."""
-FAR, FLAT, NEEDLE, UNIT_TOLERANCE = 100, 1e-7, 1e4, 0.02
+FAR, FLAT, NEEDLE, UNIT_TOLERANCE = 100, 1e-7, 1e4, 1e-3
 """Extremes: distance and least size in spreads of the scene, ratio of axes, |length - 1|."""
 
 

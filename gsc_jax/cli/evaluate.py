@@ -65,7 +65,7 @@ def _file_and_folder(truth: Sequence[Path]) -> tuple[Path | None, Path | None]:
 
 
 def _by_gaussian(results: Results, truth: Path) -> dict[str, Any]:
-    """Scores of labels, and the AUC behind them; rows that were not read count as authentic."""
+    """Scores of the labels, and the AUC of `tamper`; rows that were not read are authentic."""
     values = read_by_row(truth, results.scene.total)
     if not np.isin(values, (0, 1)).all():
         raise InputError(f"{truth}: holds {values.dtype} other than 0 and 1, expected labels.npy")

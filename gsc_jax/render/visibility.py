@@ -19,7 +19,7 @@ MIN_SHARE, LOW_SHARE = 0.01, 0.1
 """Shares of the Gaussians, seen by all cameras together, below which the check fails or warns; the
 cameras of a real capture see most of its scene."""
 MAX_BLIND = 1 / 3
-"""Share of cameras that see too little: 0 in five captures, 2/3 with those of another size."""
+"""Share of cameras that see too little, above which they are said to be of another scene."""
 
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 CONVENTIONS = {

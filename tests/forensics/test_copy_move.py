@@ -65,7 +65,7 @@ def test_clones_beside_a_copied_region_are_not_marked():
 
 
 def test_small_parts_are_coincidences():
-    """Several small parts together have as many Gaussians as a region; a .splat had such parts."""
+    """Even if all small copies together have as many Gaussians as the smallest region."""
     means = np.asarray(room().means)
     seeds = np.random.default_rng(3).choice(len(means), 8, replace=False)
     parts = [np.argsort(np.linalg.norm(means - means[seed], axis=1))[:16] for seed in seeds]

@@ -14,9 +14,11 @@ import pytest
 pytest.importorskip("selenium")
 
 from selenium.webdriver import Chrome, ChromeOptions, ChromeService
+from selenium.webdriver.support.wait import WebDriverWait
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "chrome"))), None)
 DRIVER = shutil.which("chromedriver")
+SECONDS = 20
 FLAGS = (
     "--headless=new",
     "--no-sandbox",
@@ -36,6 +38,13 @@ LOCAL = ("file:", "data:", "blob:", "http://localhost:", "http://127.0.0.1:", "c
 
 class Browser(Chrome):
     """A browser with access to the console and the requests of its pages."""
+
+    def get(self, url: str) -> None:
+        """Open a page and wait until it is complete; the driver alone may return too early."""
+        super().get(url)
+        state = "return [document.readyState, document.URL === 'about:blank']"
+        wanted = ["complete", url == "about:blank"]
+        WebDriverWait(self, SECONDS).until(lambda _: self.execute_script(state) == wanted)
 
     def errors(self) -> list[str]:
         """Errors of the console since the last call."""

@@ -13,14 +13,13 @@ from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 import pytest
-from browser import Browser
+from browser import SECONDS, Browser
 from selenium.webdriver.common.by import By
 from selenium.webdriver.support.wait import WebDriverWait
 
 import gsc_jax
 
 ROOT = Path(__file__).resolve().parents[2]
-SECONDS = 20
 CODE = ("code", "pre", "script", "style")
 OPENED = (
     *("index", "tutorial", "commands", "method", "architecture", "formats", "detectors", "results"),
@@ -146,7 +145,7 @@ def assert_no_errors(browser: Browser) -> None:
 def test_pages_open_with_their_pictures(browser, address):
     for page in OPENED:
         browser.get(f"{address}/{page}.html")
-        assert browser.find_element(By.CSS_SELECTOR, "article h1").text
+        assert wait(browser).until(lambda b: b.find_element(By.CSS_SELECTOR, "article h1").text)
         sizes = browser.execute_script(
             "return [...document.querySelectorAll('article img')].map(i => i.naturalWidth)"
         )
@@ -188,7 +187,7 @@ def test_the_site_can_be_read_without_a_server(browser, site):
     browser.get((site / "index.html").as_uri())
     browser.find_element(By.LINK_TEXT, "Tutorial").click()
     wait(browser).until(lambda b: b.current_url.endswith("tutorial.html"))
-    assert "A scene with a known truth" in browser.find_element(By.TAG_NAME, "article").text
+    wait(browser).until(lambda b: "A scene with a known truth" in _text(b, "article"))
     assert browser.foreign_requests() == []
 
 

@@ -123,10 +123,10 @@ def _with_surroundings(own: np.ndarray, around: Neighbourhoods) -> ArrayStore:
     def put(start: int) -> None:
         key, values = str(start), own[:, start : start + COLUMNS_PER_PASS]
         store.put("own", key, values)
-        store.put("mean", key, first := around.mean @ values)
+        store.put("mean", key, first := around.mean(values))
         store.put("spread", key, around.spread(values, first))
-        store.put("second", key, second := around.mean @ first)
-        store.put("fourth", key, around.mean @ (around.mean @ second))
+        store.put("second", key, second := around.mean(first))
+        store.put("fourth", key, around.mean(around.mean(second)))
 
     with ThreadPoolExecutor(workers()) as pool:
         list(pool.map(put, range(0, own.shape[1], COLUMNS_PER_PASS)))
@@ -159,7 +159,7 @@ def _colour_groups(sh: np.ndarray, around: Neighbourhoods) -> dict[str, np.ndarr
     saturation = np.ptp(rgb, axis=1)
     outside = np.maximum(rgb - 1, 0).max(axis=1) + np.maximum(-rgb, 0).max(axis=1)
     relative = np.log((saturation + 0.02) / (np.abs(lightness) + 0.05))
-    contrast, *chromatic = (tone - around.mean @ tone).T
+    contrast, *chromatic = (tone - around.mean(tone)).T
     return {
         "colour": np.column_stack([tone, saturation, relative, outside]),
         "contrast": np.column_stack([np.abs(contrast), np.hypot(*chromatic)]),
@@ -172,7 +172,7 @@ def _shading(lightness: np.ndarray, chroma: np.ndarray, around: Neighbourhoods) 
     """Chroma extrapolated to lightness 0, where shades of one material have none, (N, 3)."""
     products = chroma * lightness[:, None]
     values = np.column_stack([lightness, lightness * lightness, chroma, products])
-    first, second, c1, c2, c1l, c2l = (around.mean @ (around.mean @ values)).T
+    first, second, c1, c2, c1l, c2l = (around.mean(around.mean(values))).T
     variance = second - first * first + 1e-3
     left = [c - (cl - c * first) / variance * first for c, cl in ((c1, c1l), (c2, c2l))]
     return np.column_stack([*left, np.hypot(*left)])
@@ -227,7 +227,7 @@ def _agreement(axis: np.ndarray, around: Neighbourhoods) -> np.ndarray:
     """Mean squared cosine between an axis and those of the neighbours, shape (N,)."""
     pairs = [(i, j) for i in range(3) for j in range(i, 3)]
     products = np.column_stack([axis[:, i] * axis[:, j] * (1 + (i != j)) ** 0.5 for i, j in pairs])
-    return ((around.mean @ products) * products).sum(axis=1)
+    return (around.mean(products) * products).sum(axis=1)
 
 
 def duplicate_closeness(distances: np.ndarray) -> np.ndarray:

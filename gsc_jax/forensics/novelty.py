@@ -57,7 +57,7 @@ def novelty(features: Features, means: np.ndarray) -> np.ndarray:
     around, _ = neighbourhoods(centers.astype(np.float32), NEIGHBOURS)
     # Some columns at a time, since all of them take as much memory as the scene.
     moments = [np.stack([mean(own), mean(own * own)]) for own in features.own()]
-    first, square = (around.mean @ values for values in np.concatenate(moments, axis=2))
+    first, square = (around.mean(values) for values in np.concatenate(moments, axis=2))
     spread = np.sqrt(np.maximum(square - first**2, 0))
     names = features.names[: first.shape[1]]
     some = centers[:: -(-len(centers) // SAMPLE)]
@@ -65,7 +65,7 @@ def novelty(features: Features, means: np.ndarray) -> np.ndarray:
     apart = functools.partial(_novelty, centers=centers, radius=radius)
     with ThreadPoolExecutor(workers()) as pool:
         compared = list(pool.map(apart, _statistics(first, spread, names)))
-    result[rows] = np.repeat(around.mean @ np.mean(compared, axis=0), sizes)
+    result[rows] = np.repeat(around.mean(np.mean(compared, axis=0)), sizes)
     return result
 
 

@@ -5,6 +5,8 @@ and an appended object deviates by many times the usual deviation. A sorted file
 rows anyway, so its order is no evidence.
 """
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from gsc_jax.forensics.traces import Trace, make_trace
@@ -38,7 +40,7 @@ def appended_rows(gaussians: Gaussians, in_file: np.ndarray | slice = slice(None
     pieces = min(PIECES, len(gaussians) // MIN_PIECE_ROWS)
     if pieces < 16:  # too few to estimate the usual deviation
         return slice(0)
-    columns = _standardised(gaussians)[in_file]
+    columns = np.concatenate([part[in_file] for part in _standardised(gaussians)], axis=1)
     bounds = np.linspace(0, len(columns), pieces + 1).round().astype(int)
     means = np.add.reduceat(columns, bounds[:-1]) / np.diff(bounds)[:, None]
     cuts = range(2 * pieces // 3, pieces)
@@ -65,16 +67,16 @@ def _autocorrelation(means: np.ndarray) -> float:
     return float(np.mean(np.abs(products)))
 
 
-def _standardised(gaussians: Gaussians) -> np.ndarray:
-    """Positions, sizes, opacities and colours in units of their MAD, clipped, shape (N, D)."""
+def _standardised(gaussians: Gaussians) -> Iterator[np.ndarray]:
+    """Yield positions, sizes, opacities and colours in units of their MAD, clipped, (N, D) each."""
     log_scales = np.asarray(gaussians.log_scales)
-    columns = [
+    parts = [
         np.asarray(gaussians.means),
         log_scales.mean(axis=1, keepdims=True),
         np.ptp(log_scales, axis=1)[:, None],
         np.clip(np.asarray(gaussians.logit_opacities)[:, None], -6, 6),
         np.asarray(gaussians.sh)[:, 0],
     ]
-    columns = np.concatenate(columns, axis=1, dtype=np.float32)
-    median, mad = median_and_mad(columns)
-    return np.clip((columns - median) / (mad + 1e-6), -4, 4)
+    for part in parts:
+        median, mad = median_and_mad(part.astype(np.float32, copy=False))
+        yield np.clip((part - median) / (mad + 1e-6), -4, 4).astype(np.float32, copy=False)

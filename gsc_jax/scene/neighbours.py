@@ -1,7 +1,6 @@
 """Nearest neighbours of points, statistics over them, and compact parts of a point set."""
 
 import dataclasses
-from typing import Any
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -47,21 +46,30 @@ class Neighbourhoods:
 
     Attributes:
         nearest: Indices of the k nearest other points, nearest first, shape (N, k) int32.
-        mean: Sparse matrix (N, N) that maps values to their means over the neighbours; apply it
-            twice to average over the neighbours' neighbours.
     """
 
     nearest: np.ndarray
-    mean: Any
+
+    def mean(self, values: np.ndarray) -> np.ndarray:
+        """Means over the neighbours of values (N,) or (N, D); twice: over their neighbours, too."""
+        values, k = np.ascontiguousarray(values), self.nearest.shape[1]  # else a copy per block
+
+        def means(nearest: np.ndarray) -> np.ndarray:
+            # A sparse matrix of all rows would take as much memory again as the indices.
+            weights, ends = np.full(nearest.size, 1 / k, np.float32), np.arange(len(nearest) + 1)
+            entries = weights, nearest.ravel(), (k * ends).astype(np.int32)
+            return csr_array(entries, shape=(len(nearest), len(values))) @ values
+
+        return in_blocks(means, self.nearest)
 
     def spread(self, values: np.ndarray, means: np.ndarray) -> np.ndarray:
         """Standard deviation over the neighbours of values with these means, shape (N, D)."""
-        return np.sqrt(np.maximum(self.mean @ (values * values) - means * means, 0.0))
+        return np.sqrt(np.maximum(self.mean(values * values) - means * means, 0.0))
 
     def smooth(self, values: np.ndarray, steps: int) -> np.ndarray:
         """Average values (N,) repeatedly with the mean over the neighbours, shape (N,)."""
         for _ in range(steps):
-            values = 0.5 * (values + self.mean @ values)
+            values = 0.5 * (values + self.mean(values))
         return values
 
 
@@ -76,10 +84,7 @@ def neighbourhoods(points: np.ndarray, k: int) -> tuple[Neighbourhoods, np.ndarr
         far, indices = map(np.asarray, tree.query(points[block], k=k + 1, workers=workers()))
         # The first is the point itself, or another one at the same place, at the same distance.
         distances[block], nearest[block] = far[:, 1:], indices[:, 1:]
-    ends = np.arange(0, nearest.size + 1, k, dtype=np.int32)
-    weights = np.full(nearest.size, 1 / k, np.float32)
-    mean = csr_array((weights, nearest.ravel(), ends), shape=(len(points), len(points)))
-    return Neighbourhoods(nearest=nearest, mean=mean), distances
+    return Neighbourhoods(nearest=nearest), distances
 
 
 def parts(points: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:

@@ -36,7 +36,7 @@ def test_neighbourhoods_average_over_the_nearest_points():
         reach, np.sort(distances_to_others(points), axis=1)[:, :5], rtol=1e-5
     )
     values = points[:, :2]
-    means = around.mean @ values
+    means = around.mean(values)
     np.testing.assert_allclose(means, values[around.nearest].mean(axis=1), atol=1e-6)
     spread = values[around.nearest].std(axis=1)
     np.testing.assert_allclose(around.spread(values, means), spread, atol=1e-3)

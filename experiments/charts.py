@@ -51,9 +51,10 @@ def curves(
     *,
     x: str,
     labels: tuple[str, str],
+    y: str = "f1",
     columns: int = 3,
 ) -> None:
-    """F1 against a number: a panel per title, a line per method, its spread over seeds."""
+    """A score against a number: a panel per title, a line per method, its spread over seeds."""
     names = pd.concat(panels.values()).method.unique()
     count = -(-len(panels) // columns)
     size = (4.0 * min(columns, len(panels)), 3.0 * count + 0.7)
@@ -65,8 +66,8 @@ def curves(
     for axis, (title, rows) in zip(axes.flat, panels.items(), strict=False):
         for k, name in enumerate(names):
             groups = where(rows, method=name).groupby(x)
-            middle = groups.f1.mean()
-            around = np.array([spread(group) for _, group in groups])
+            middle = groups[y].mean()
+            around = np.array([spread(group, y) for _, group in groups])
             color, style = COLORS[k % len(COLORS)], "-" if k < len(COLORS) else "--"
             axis.plot(middle.index, middle, style, marker=MARKERS[k], ms=4, color=color, label=name)
             axis.fill_between(

@@ -24,7 +24,7 @@ from gsc_jax.render.projection import NEAR, project
 from gsc_jax.render.reprojection import require_view_of
 from gsc_jax.render.spherical_harmonics import colors
 from gsc_jax.render.tiles import TILE, View, make_view
-from gsc_jax.render.walk import groups, split_tiles, walk
+from gsc_jax.render.walk import groups, join_tiles, split_tiles, walk
 from gsc_jax.scene import Array, Camera, Gaussians
 
 
@@ -35,7 +35,6 @@ def _require_rows(view: View, features: Array) -> None:
 
 
 @jax.custom_vjp
-@jax.jit
 def composite(view: View, features: jax.Array) -> jax.Array:
     """Blend features (N, D) front to back to an image (H, W, D): W c (GS-Checker, eq. 9).
 
@@ -43,6 +42,12 @@ def composite(view: View, features: jax.Array) -> jax.Array:
     where the gradient is `accumulate`, and to `view.splats`.
     """
     _require_rows(view, features)
+    return join_tiles(_blended(view.of_any_size, features), view.width, view.height)
+
+
+@jax.jit
+def _blended(view: View, features: jax.Array) -> jax.Array:
+    """The tiles of the image in row-major order, shape (padded tiles + 1, D, 64)."""
     padded = jnp.pad(features, ((0, 1), (0, 0)))
 
     def visit(image, ids, weights, _):
@@ -54,11 +59,11 @@ def composite(view: View, features: jax.Array) -> jax.Array:
         return walk(view, group, visit, blank)
 
     blended = jax.lax.map(blend, groups(view))
-    return _join_tiles(view, blended.reshape(-1, *blended.shape[2:]))
+    blended = blended.reshape(-1, *blended.shape[2:])
+    return jnp.zeros((len(view.tiles) + 1, *blended.shape[1:])).at[view.tiles].set(blended)
 
 
 @jax.custom_vjp
-@jax.jit
 def accumulate(view: View, maps: jax.Array) -> jax.Array:
     """Sum maps (H, W, D) over the pixels with the weights of each Gaussian, shape (N, D): W^T m.
 
@@ -66,7 +71,12 @@ def accumulate(view: View, maps: jax.Array) -> jax.Array:
     """
     if maps.ndim != 3 or maps.shape[:2] != (view.height, view.width):
         raise ValueError(f"maps must be ({view.height}, {view.width}, D), got {maps.shape}")
-    tiled = split_tiles(view, maps)
+    return _lifted(view.of_any_size, split_tiles(maps, len(view.tiles)))
+
+
+@jax.jit
+def _lifted(view: View, tiled: jax.Array) -> jax.Array:
+    """The sums over tiles (padded tiles + 1, D, 64) of a map, shape (N, D)."""
 
     def gather(sums, group):
         values = tiled[group[0]]
@@ -77,7 +87,7 @@ def accumulate(view: View, maps: jax.Array) -> jax.Array:
 
         return walk(view, group, visit, sums), None
 
-    sums = jnp.zeros((view.splats.shape[0], maps.shape[2]))
+    sums = jnp.zeros((view.splats.shape[0], tiled.shape[1]))
     return jax.lax.scan(gather, sums, groups(view))[0][:-1]
 
 
@@ -100,7 +110,7 @@ def _backward(saved: tuple, cotangent: jax.Array) -> tuple[View | None, jax.Arra
 
 def _only_splats(view: View, by_splats: jax.Array) -> View:
     """Derivatives by a view, of which only the splats have any."""
-    nothing = dict.fromkeys(("ids", "tiles", "starts", "counts"))
+    nothing = dict.fromkeys(("ids", "tiles", "starts", "counts", "columns"))
     return dataclasses.replace(view, splats=by_splats, **nothing)
 
 
@@ -124,20 +134,23 @@ composite.defvjp(_forward, _backward, symbolic_zeros=True)
 accumulate.defvjp(_accumulate_forward, _accumulate_backward, symbolic_zeros=True)
 
 
-def _join_tiles(view: View, blended: jax.Array) -> jax.Array:
-    """Join tiles (padded tiles, D, 64), in the order of `view.tiles`, into an image (H, W, D)."""
-    rows, columns = view.grid
-    tiles = jnp.zeros((rows * columns + 1, *blended.shape[1:])).at[view.tiles].set(blended)[:-1]
-    cells = tiles.reshape(rows, columns, -1, TILE, TILE).transpose(0, 3, 1, 4, 2)
-    return cells.reshape(rows * TILE, columns * TILE, -1)[: view.height, : view.width]
-
-
 def composite_with_alpha(view: View, features: Array) -> tuple[jax.Array, jax.Array]:
     """Blend features (N, D) and a column of ones: image W c, (H, W, D), and alpha W 1, (H, W)."""
     features = jnp.asarray(features, jnp.float32)
     _require_rows(view, features)
     blended = composite(view, jnp.concatenate([features, jnp.ones_like(features[:, :1])], axis=1))
-    return blended[..., :-1], blended[..., -1]
+    return _without_last(blended)
+
+
+@jax.jit
+def _without_last(image: jax.Array) -> tuple[jax.Array, jax.Array]:
+    return image[..., :-1], image[..., -1]
+
+
+@jax.jit
+def _over(image: jax.Array, alpha: jax.Array, background: jax.Array) -> jax.Array:
+    """An image (H, W, 3) over a background (3,), at most 1."""
+    return jnp.minimum(image + (1.0 - alpha)[..., None] * background[None, None], 1.0)
 
 
 def require_finite(name: str, values: jax.Array) -> jax.Array:
@@ -266,8 +279,7 @@ def render_view(
     """
     require_view_of(view, gaussians, camera)
     rgb, alpha = composite_with_alpha(view, colors(gaussians.sh, gaussians.means, camera.center))
-    behind = (1.0 - alpha)[..., None] * jnp.asarray(background, jnp.float32)[None, None]
-    return jnp.minimum(rgb + behind, 1.0), alpha
+    return _over(rgb, alpha, jnp.asarray(background, jnp.float32)), alpha
 
 
 def accumulate_maps(

@@ -140,8 +140,8 @@ class SparseEvidence(EvidenceOfViews):
 
 def view_evidence(view: View, mask: Array) -> Evidence:
     """Lift a mask (H, W) in [0, 1]: blending weight of N Gaussians, in total and inside of it."""
-    mask = jnp.asarray(mask, jnp.float32)
-    total, tampered = accumulate(view, jnp.stack([jnp.ones_like(mask), mask], axis=-1)).T
+    mask = np.asarray(mask, np.float32)
+    total, tampered = accumulate(view, np.stack([np.ones_like(mask), mask], axis=-1)).T
     return Evidence(total=total, tampered=jnp.minimum(tampered, total))
 
 

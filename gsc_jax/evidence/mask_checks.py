@@ -9,6 +9,7 @@ import numpy as np
 from gsc_jax.evidence.lifting import EvidenceOfViews
 from gsc_jax.evidence.observation import Observation
 from gsc_jax.render.projection import NEAR
+from gsc_jax.scene.gaussians import filled_up
 from gsc_jax.splat import render
 
 CHECKED = 6
@@ -56,7 +57,7 @@ def followed_property(observation: Observation, near: float) -> str | None:
     One threshold has to serve all of up to `CHECKED` views that are partly flagged, with a balanced
     accuracy of `MIN_ACCURACY`.
     """
-    gaussians, masks = observation.gaussians, observation.masks
+    gaussians, masks = filled_up(observation.gaussians), observation.masks
     partly = [c for c in observation.cameras if 0.001 < np.mean(masks[c.name]) < 0.999]
     chosen = partly[:: max(1, -(-len(partly) // CHECKED))]
     if len(chosen) < 2:

@@ -117,12 +117,14 @@ def pictures(
     features = jnp.stack([jnp.asarray(scored.labels, jnp.float32), scored.tamper], axis=1)
     rgb = colors(gaussians.sh, gaussians.means, camera.center)
     view = make_view(gaussians, camera, near=near)
-    image, alpha = composite_with_alpha(view, jnp.concatenate([features, rgb], axis=1))
+    # In NumPy from here, since JAX would compile for each size of an image.
+    blended = composite_with_alpha(view, jnp.concatenate([features, rgb], axis=1))
+    image, alpha = map(np.asarray, blended)
     share, score = _share(image[..., 0], alpha), _share(image[..., 1], alpha)
     mask = share > 0.5 if rule == "share" else score > threshold
     if rule == "per-view":
         mask = _per_view_mask(gaussians, camera, scored, threshold=threshold, near=near)
-    return mask, img_as_ubyte(jnp.minimum(image[..., 2:], 1.0)), score
+    return mask, img_as_ubyte(np.minimum(image[..., 2:], 1.0)), score
 
 
 def stored_masks(
@@ -171,13 +173,15 @@ def rendered_share(
     if not isinstance(feature, Tracer):
         view = restricted(view, np.asarray(feature) != 0)
     image, alpha = composite_with_alpha(view, feature[:, None])
+    if not isinstance(image, Tracer):
+        image, alpha = np.asarray(image), np.asarray(alpha)
     return _share(image[..., 0], alpha)
 
 
-def _share(blended: jax.Array, alpha: jax.Array) -> Any:
-    covered = alpha > MIN_COVERAGE
-    share = jnp.where(covered, blended / jnp.where(covered, alpha, 1.0), 0.0)
-    return share if isinstance(share, Tracer) else np.asarray(share)
+def _share(blended: Any, alpha: Any) -> Any:
+    numpy = jnp if isinstance(blended, Tracer) else np
+    covered = numpy.asarray(alpha) > MIN_COVERAGE
+    return numpy.where(covered, blended / numpy.where(covered, alpha, 1.0), 0.0)
 
 
 def _per_view_mask(

@@ -129,10 +129,11 @@ def _prepare(
     gaussians: Gaussians, camera: Camera, monitor: Monitor, *, near: float, image: bool
 ) -> tuple[View, np.ndarray | None]:
     """Project and bin a view, and render it for the detector, (H, W, 3), if it needs that."""
-    with monitor.stage("project"):
-        splats = jax.block_until_ready(project(gaussians, camera, near=near))
-    with monitor.stage("bin"):
-        view = bin_view(splats, camera)
+    with jax.ensure_compile_time_eval():  # as `make_view`: JAX compiles once for both
+        with monitor.stage("project"):
+            splats = jax.block_until_ready(project(gaussians, camera, near=near))
+        with monitor.stage("bin"):
+            view = bin_view(splats, camera)
     if not image:
         return view, None
     with monitor.stage("render"):

@@ -11,7 +11,6 @@ from gsc_jax.render.tiles import TILE, View
 from gsc_jax.render.walk import MAX_ALPHA, groups, pixel_centers, split_tiles, walk
 
 
-@jax.jit
 def derivatives(
     view: View, features: jax.Array, image: jax.Array, cotangent: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
@@ -27,14 +26,22 @@ def derivatives(
     The features have shape (N, D), their image W c and its cotangent (H, W, D). Returns the
     derivatives by `view.splats`, (N + 1, 6), and by the features, (N, D).
     """
-    splats = jnp.asarray(view.splats)
-    tiled, along = split_tiles(view, cotangent), jnp.sum(cotangent * image, axis=2, keepdims=True)
-    rests, padded = split_tiles(view, along)[:, 0], jnp.pad(features, ((0, 1), (0, 0)))
+    tiled, blended = (split_tiles(maps, len(view.tiles)) for maps in (cotangent, image))
+    return _by_splats_and_features(view.of_any_size, features, blended, tiled)
+
+
+@jax.jit
+def _by_splats_and_features(
+    view: View, features: jax.Array, blended: jax.Array, tiled: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """As `derivatives`, of an image and a cotangent in tiles (padded tiles + 1, D, 64)."""
+    splats, padded = jnp.asarray(view.splats), jnp.pad(features, ((0, 1), (0, 0)))
+    rests = jnp.sum(tiled * blended, axis=1)
     y, x = np.divmod(np.arange(TILE * TILE, dtype=np.float32), TILE)
     monomials = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y])
 
     def gather(sums, group):
-        g, origin = tiled[group[0]], pixel_centers(group[0], view.grid[1])[:, 0]
+        g, origin = tiled[group[0]], pixel_centers(group[0], view.columns)[:, 0]
 
         def visit(carry, ids, weights, alphas):
             sums, rest = carry

@@ -8,8 +8,8 @@ is a sum of two squares of a whitened offset, hence never negative.
 `tests/render/test_projection.py` compares the projection with a float64 reference.
 """
 
-import dataclasses
 import functools
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -62,12 +62,20 @@ def project(gaussians: Gaussians, camera: Camera, *, near: float = NEAR) -> Spla
     if not isinstance(near, Tracer) and not near > 0:
         raise ValueError(f"near must be positive, got {near}")
     parameters = gaussians.means, gaussians.log_scales, gaussians.quats, gaussians.logit_opacities
-    # The name is static: without it, every camera would compile the projection again.
-    return _project(parameters, dataclasses.replace(camera, name=""), near)
+    size = float(camera.width), float(camera.height)  # no constants, for each of which JAX compiles
+    return _project(parameters, Pinhole(camera.viewmat, camera.K, size), near)
+
+
+class Pinhole(NamedTuple):
+    """A camera whose image size is not static."""
+
+    viewmat: Array
+    K: Array
+    size: tuple[float, float]
 
 
 @jax.jit
-def _project(parameters: tuple[Array, ...], camera: Camera, near: float) -> Splats:
+def _project(parameters: tuple[Array, ...], camera: Pinhole, near: float) -> Splats:
     means, log_scales, quats, logits = parameters
     # As `invalid_rows`. On whole matrices: inside of the map, XLA's program is five times slower.
     finite = jnp.isfinite(means).all(axis=1) & jnp.isfinite(quats).all(axis=1)
@@ -100,9 +108,9 @@ def _joined(_: None, columns: list[jax.Array]) -> tuple[jax.Array]:
 _columns.defvjp(lambda rows: (_columns(rows), None), _joined)
 
 
-def _project_one(mean, log_scale, quat, logit, camera: Camera, near) -> Splats:
+def _project_one(mean, log_scale, quat, logit, camera: Pinhole, near) -> Splats:
     """Project one Gaussian, in scalars: vmap turns them into long vectors, small matrices not."""
-    viewmat, K = camera.viewmat, camera.K
+    viewmat, K, (width, height) = camera
     x, y, depth = (_dot(viewmat[i, :3], mean) + viewmat[i, 3] for i in range(3))
     in_front = depth > near
     z = jnp.where(in_front, depth, 1.0)
@@ -121,7 +129,7 @@ def _project_one(mean, log_scale, quat, logit, camera: Camera, near) -> Splats:
     reach = 2.0 * jnp.log(opacity / MIN_ALPHA)
     center_x, center_y = x / z * K[0, 0] + K[0, 2], y / z * K[1, 1] + K[1, 2]
     visible = in_front & (reach > 0) & jnp.isfinite(det_over_c)
-    for center, variance, size in ((center_x, a, camera.width), (center_y, c, camera.height)):
+    for center, variance, size in ((center_x, a, width), (center_y, c, height)):
         extent = jnp.sqrt(jnp.maximum(reach, 0.0) * variance)
         visible &= jnp.isfinite(extent) & (center + extent > 0) & (center - extent < size)
 
@@ -139,13 +147,13 @@ def _project_one(mean, log_scale, quat, logit, camera: Camera, near) -> Splats:
     )
 
 
-def _image_axes(slope_x, slope_y, z, camera: Camera):
+def _image_axes(slope_x, slope_y, z, camera: Pinhole):
     """Compute the two rows of J W, with the ray clamped to 1.3 times the field of view.
 
     The clamp is measured from the principal point to each border, as in gsplat; with a centred
     principal point it is INRIA's 1.3 tan(fov / 2).
     """
-    viewmat, K = camera.viewmat, camera.K
+    viewmat, K, (width, height) = camera
 
     def row(axis, slope, size):
         focal, center = K[axis, axis], K[axis, 2]
@@ -153,7 +161,7 @@ def _image_axes(slope_x, slope_y, z, camera: Camera):
         clamped = jnp.clip(slope, -center / focal - margin, (size - center) / focal + margin)
         return [focal / z * (viewmat[axis, k] - clamped * viewmat[2, k]) for k in range(3)]
 
-    return row(0, slope_x, camera.width), row(1, slope_y, camera.height)
+    return row(0, slope_x, width), row(1, slope_y, height)
 
 
 def _rotation_columns(quat) -> list[list[jax.Array]]:

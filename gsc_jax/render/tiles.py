@@ -21,6 +21,7 @@ from scipy.sparse import csr_array
 
 from gsc_jax.render.projection import NEAR, Splats, project
 from gsc_jax.scene import Array, Camera, Gaussians, InputError
+from gsc_jax.scene.gaussians import bucket
 from gsc_jax.scene.pytree import STATIC
 
 TILE = 8
@@ -43,9 +44,10 @@ class View:
         splats: Mean, whitening and log opacity of each Gaussian, and a transparent last row that
             pads the lists, shape (N + 1, 6).
         ids: The lists of all tiles, concatenated and padded to a bucket size.
-        tiles: Tiles, longest list first, padded to a multiple of `lockstep`.
+        tiles: Tiles, longest list first, padded to a `bucket` of groups with their own number.
         starts: Start of the list of each of these tiles in `ids`.
         counts: Length of the list of each of these tiles.
+        columns: Columns of tiles in the image.
         width: Image width in pixels.
         height: Image height in pixels.
         lockstep: Number of tiles in a group, which are walked together.
@@ -56,6 +58,7 @@ class View:
     tiles: Array
     starts: Array
     counts: Array
+    columns: Array
     width: int = dataclasses.field(metadata=STATIC)
     height: int = dataclasses.field(metadata=STATIC)
     lockstep: int = dataclasses.field(metadata=STATIC)
@@ -64,6 +67,11 @@ class View:
     def grid(self) -> tuple[int, int]:
         """Rows and columns of tiles."""
         return -(-self.height // TILE), -(-self.width // TILE)
+
+    @property
+    def of_any_size(self) -> "View":
+        """The view without its image size, for each of which JAX would compile again."""
+        return dataclasses.replace(self, width=0, height=0)
 
 
 def make_view(
@@ -106,15 +114,19 @@ def bin_view(splats: Splats, camera: Camera, *, lockstep: int | None = None) -> 
     tiles = len(lists.counts)
     if lockstep is None:
         cpu = int(np.clip(tiles // MIN_GROUPS, MIN_LOCKSTEP, CPU_LOCKSTEP))
-        lockstep = cpu if jax.default_backend() == "cpu" else tiles
-    lockstep = min(lockstep, tiles)
+        cpu = 1 << (cpu.bit_length() - 1)
+        lockstep = cpu if jax.default_backend() == "cpu" else bucket(tiles)
+    else:
+        lockstep = min(lockstep, tiles)
+    padded = bucket(-(-tiles // lockstep)) * lockstep
     return View(
         splats=table,
         ids=jnp.asarray(_padded(lists.ids)),
+        columns=jnp.asarray(-(-camera.width // TILE), jnp.int32),
         width=camera.width,
         height=camera.height,
         lockstep=lockstep,
-        **_longest_first(lists.starts, lists.counts, lockstep),
+        **_longest_first(lists.starts, lists.counts, padded),
     )
 
 
@@ -128,15 +140,15 @@ def restricted(view: View, rows: np.ndarray) -> View:
     listed = np.asarray(view.ids)[: np.max(starts + counts)]
     touched = np.cumsum(np.append(False, np.asarray(rows).take(listed)), dtype=np.int32)
     counts = np.where(touched[starts + counts] > touched[starts], counts, 0)
-    return dataclasses.replace(view, **_longest_first(starts, counts, view.lockstep))
+    return dataclasses.replace(view, **_longest_first(starts, counts, len(view.tiles)))
 
 
-def _longest_first(starts: np.ndarray, counts: np.ndarray, lockstep: int) -> dict[str, jax.Array]:
+def _longest_first(starts: np.ndarray, counts: np.ndarray, padded: int) -> dict[str, jax.Array]:
     """Fields tiles, starts and counts of a view, from the lists in row-major order of the tiles."""
-    padding = (0, -len(counts) % lockstep)
+    padding = (0, padded - len(counts))
     order = np.argsort(-counts, kind="stable").astype(np.int32)
     return {
-        "tiles": jnp.asarray(np.pad(order, padding, constant_values=len(counts))),
+        "tiles": jnp.asarray(np.pad(order, padding, constant_values=padded)),
         "starts": jnp.asarray(np.pad(starts[order], padding)),
         "counts": jnp.asarray(np.pad(counts[order], padding)),
     }

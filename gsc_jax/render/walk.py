@@ -1,5 +1,6 @@
 """The walk: blending weights of a group of tiles, a chunk of splats at a time, front to back."""
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -55,7 +56,7 @@ def walk(view: View, group: tuple[Array, ...], visit: Callable, carry: Any) -> A
     weights and alphas (tiles, C, pixels).
     """
     tiles, starts, counts = group
-    pixels = pixel_centers(tiles, view.grid[1])
+    pixels = pixel_centers(tiles, view.columns)
     transparent = view.splats.shape[0] - 1
 
     def advance(state):
@@ -79,7 +80,7 @@ def walk(view: View, group: tuple[Array, ...], visit: Callable, carry: Any) -> A
     return jax.lax.while_loop(unfinished, advance, start)[2]
 
 
-def pixel_centers(tiles: Array, columns: int) -> jax.Array:
+def pixel_centers(tiles: Array, columns: Array) -> jax.Array:
     """Pixel centres of tiles, shape (tiles, 64, 2)."""
     corner = TILE * jnp.stack([tiles % columns, tiles // columns], axis=-1)
     y, x = jnp.divmod(jnp.arange(TILE * TILE), TILE)
@@ -91,10 +92,23 @@ def groups(view: View) -> tuple[Array, ...]:
     return tuple(x.reshape(-1, view.lockstep) for x in (view.tiles, view.starts, view.counts))
 
 
-def split_tiles(view: View, image: jax.Array) -> jax.Array:
-    """Split an image (H, W, D) into tiles (tiles + 1, D, 64), the last one blank for padding."""
-    rows, columns = view.grid
-    margin = ((0, rows * TILE - view.height), (0, columns * TILE - view.width), (0, 0))
-    cells = jnp.pad(image, margin).reshape(rows, TILE, columns, TILE, -1)
-    tiles = cells.transpose(0, 2, 4, 1, 3).reshape(rows * columns, -1, TILE * TILE)
-    return jnp.pad(tiles, ((0, 1), (0, 0), (0, 0)))
+@functools.partial(jax.jit, static_argnums=1)
+def split_tiles(image: Array, padded: int) -> jax.Array:
+    """Split an image (H, W, D) into tiles in row-major order, then blank ones, (padded + 1, D, 64).
+
+    The number of tiles is padded to that of a view; the last tile stands for its padding.
+    """
+    height, width, channels = image.shape
+    rows, columns = -(-height // TILE), -(-width // TILE)
+    margin = ((0, rows * TILE - height), (0, columns * TILE - width), (0, 0))
+    cells = jnp.pad(image, margin).reshape(rows, TILE, columns, TILE, channels)
+    tiles = cells.transpose(0, 2, 4, 1, 3).reshape(rows * columns, channels, TILE * TILE)
+    return jnp.pad(tiles, ((0, padded + 1 - rows * columns), (0, 0), (0, 0)))
+
+
+@functools.partial(jax.jit, static_argnums=(1, 2))
+def join_tiles(tiles: Array, width: int, height: int) -> jax.Array:
+    """Join tiles in row-major order, as of `split_tiles`, into an image (height, width, D)."""
+    rows, columns = -(-height // TILE), -(-width // TILE)
+    cells = tiles[: rows * columns].reshape(rows, columns, -1, TILE, TILE).transpose(0, 3, 1, 4, 2)
+    return cells.reshape(rows * TILE, columns * TILE, -1)[:height, :width]

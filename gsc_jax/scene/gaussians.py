@@ -93,9 +93,14 @@ def concatenate(scenes: Sequence[Gaussians]) -> Gaussians:
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
 
 
+def bucket(count: int) -> int:
+    """The next of four sizes an octave: JAX compiles for each size of an array."""
+    return count + -count % (1 << max(count.bit_length() - 3, 0))
+
+
 def transparent_rows(count: int) -> int:
-    """Rows that fill up a scene to one of four sizes an octave, for each of which JAX compiles."""
-    return -count % (1 << max(count.bit_length() - 3, 0)) if count <= MAX_FILLED else 0
+    """Rows that fill up a scene to a `bucket`."""
+    return bucket(count) - count if count <= MAX_FILLED else 0
 
 
 def filled_up(gaussians: Gaussians) -> Gaussians:

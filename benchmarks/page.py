@@ -58,11 +58,13 @@ def pipeline_list(values: dict) -> str:
     """List with one line per part of `benchmarks/pipeline.py`."""
     rendered, memory, cold = (values[part] for part in ("rendered", "memory", "cold"))
     sweep, robust, slopes = values["sweep"], values["robust"], values["scaling"]["slopes"]
-    attributes = values["attributes"]
+    attributes, sizes = values["attributes"], values["sizes"]
     return "\n".join(
         [
             f"- `locate`, 300,000 Gaussians, 100 views of 640x420, given masks: "
             f"{values['locate']['seconds']:.1f} s, compilation included.",
+            f"- {sizes['views']} of the views, of one size {sizes['one']:.1f} s, of as many sizes "
+            f"{sizes['many']:.1f} s, compilation included.",
             f"- `robust` after that evidence: {robust['first']:.1f} s with compilation, "
             f"{robust['again']:.1f} s without; `official`: {robust['official']:.1f} s without.",
             f"- Evidence in the attributes: {attributes['again']:.1f} s once compiled, of which "

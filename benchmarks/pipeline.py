@@ -3,12 +3,13 @@
     python benchmarks/pipeline.py [--parts locate robust attributes rendered memory cold ...]
 
 `locate`: 300,000 Gaussians, 100 views of 640x420, masks given. `robust`: the estimators on that
-evidence. `attributes`: the evidence in the attributes. `rendered`: the optimisation by rendering in
-every iteration. `memory`: 3 million Gaussians and 100 views, in a process of its own. `cold`:
-import and first view in new processes, with and without the compilation cache, and
-`gsc-jax locate` of a scene of 200,000 Gaussians without cameras and masks. `sweep`: a hundred
-configurations on evidence computed once. `scaling`: seconds against Gaussians and pixels, with the
-chart `docs/performance.png`. Each part is written to `docs/performance.json`.
+evidence. `sizes`: 24 views of one size, and of 24 sizes, each with what it compiles. `attributes`:
+the evidence in the attributes. `rendered`: the optimisation by rendering in every iteration.
+`memory`: 3 million Gaussians and 100 views, in a process of its own. `cold`: import and first view
+in new processes, with and without the compilation cache, and `gsc-jax locate` of a scene of 200,000
+Gaussians without cameras and masks. `sweep`: a hundred configurations on evidence computed once.
+`scaling`: seconds against Gaussians and pixels, with the chart `docs/performance.png`. Each part is
+written to `docs/performance.json`.
 """
 
 import contextlib
@@ -24,6 +25,7 @@ from typing import Literal, get_args
 from unittest import mock
 
 import common
+import jax
 import jax.numpy as jnp
 import numpy as np
 import tyro
@@ -35,7 +37,9 @@ from gsc_jax.render.tiles import make_view
 from gsc_jax.scene import Camera, Gaussians
 from gsc_jax.splat import accumulate
 
-Part = Literal["locate", "robust", "attributes", "rendered", "memory", "cold", "sweep", "scaling"]
+Part = Literal[
+    *("locate", "sizes", "robust", "attributes", "rendered", "memory", "cold", "sweep", "scaling")
+]
 VIEWS, WIDTH, HEIGHT = 100, 640, 420
 
 
@@ -87,6 +91,18 @@ def locate_seconds(count: int = 300_000, *, prior: bool = False) -> dict:
     all_views = gsc_jax.RobustEstimator(tolerance=0.0)
     result = gsc_jax.locate(gaussians, views, masks, config=all_views, prior=prior)
     return {"seconds": result.seconds, "stages": result.stages}
+
+
+def sizes(count: int = 24) -> dict:
+    """Seconds of `locate` with what it compiles, on views of one size and of as many sizes."""
+    gaussians, views, masks = many_views()  # maps are resized to their views
+    seconds = {}
+    for name, step in (("one", 0), ("many", 5)):
+        jax.clear_caches()
+        sizes = [(WIDTH - 2 * step * k, HEIGHT - step * k) for k in range(count)]
+        own = [view.resized(*size) for view, size in zip(views, sizes, strict=False)]
+        seconds[name] = gsc_jax.locate(gaussians, own, masks, prior=False).seconds
+    return {"views": count, **seconds}
 
 
 def robust_seconds() -> dict:
@@ -271,6 +287,7 @@ def draw(curves: dict, slopes: dict, name: str) -> None:
 
 PARTS = {
     "locate": locate_seconds,
+    "sizes": sizes,
     "robust": robust_seconds,
     "attributes": attributes_seconds,
     "rendered": rendered_seconds,

@@ -139,18 +139,7 @@ def composite_with_alpha(view: View, features: Array) -> tuple[jax.Array, jax.Ar
     features = jnp.asarray(features, jnp.float32)
     _require_rows(view, features)
     blended = composite(view, jnp.concatenate([features, jnp.ones_like(features[:, :1])], axis=1))
-    return _without_last(blended)
-
-
-@jax.jit
-def _without_last(image: jax.Array) -> tuple[jax.Array, jax.Array]:
-    return image[..., :-1], image[..., -1]
-
-
-@jax.jit
-def _over(image: jax.Array, alpha: jax.Array, background: jax.Array) -> jax.Array:
-    """An image (H, W, 3) over a background (3,), at most 1."""
-    return jnp.minimum(image + (1.0 - alpha)[..., None] * background[None, None], 1.0)
+    return blended[..., :-1], blended[..., -1]
 
 
 def require_finite(name: str, values: jax.Array) -> jax.Array:
@@ -279,7 +268,8 @@ def render_view(
     """
     require_view_of(view, gaussians, camera)
     rgb, alpha = composite_with_alpha(view, colors(gaussians.sh, gaussians.means, camera.center))
-    return _over(rgb, alpha, jnp.asarray(background, jnp.float32)), alpha
+    behind = (1.0 - alpha)[..., None] * jnp.asarray(background, jnp.float32)[None, None]
+    return jnp.minimum(rgb + behind, 1.0), alpha
 
 
 def accumulate_maps(

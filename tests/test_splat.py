@@ -238,6 +238,25 @@ def test_the_second_view_of_a_size_compiles_nothing(count_compilations):
     assert not jnp.allclose(before, after), "the camera has not moved"
 
 
+def test_images_of_similar_sizes_share_the_compiled_walk(caplog):
+    gaussians, features = random_scene(90), np.ones((90, 3), np.float32)
+
+    def render_all(width: int, height: int) -> None:
+        view = gsc_jax.make_view(gaussians, camera(width, height))
+        composite(view, features)
+        accumulate(view, np.ones((height, width, 3), np.float32))
+        jax.grad(
+            lambda splats: composite(dataclasses.replace(view, splats=splats), features).sum()
+        )(view.splats)
+
+    render_all(160, 120)  # 20 x 15 tiles
+    with jax.log_compiles(), caplog.at_level("WARNING"):
+        render_all(151, 127)  # 19 x 16 tiles
+    assert "Finished XLA compilation of jit(join_tiles)" in caplog.text
+    for name in ("_project", "_ellipses", "_blended", "_lifted", "_by_splats_and_features"):
+        assert f"XLA compilation of jit({name})" not in caplog.text
+
+
 @pytest.mark.parametrize("shape", [(7, 3), (17, 15, 1), (15, 17), (8,)])
 def test_features_and_maps_of_another_shape_are_refused(shape):
     gaussians, values = random_scene(8), jnp.ones(shape)

@@ -29,10 +29,9 @@ TILE = 8
 MAX_INTERSECTIONS = 2**28
 """Intersections of splats and tiles in a view: more would fill the memory, and real scenes have a
 few per splat."""
-CPU_LOCKSTEP = 128
-"""Tiles in a group on a CPU: their weights for a chunk of splats then fit into the L2 cache."""
-MIN_LOCKSTEP, MIN_GROUPS = 16, 8
-"""Small views have smaller groups, because a group is only done when its longest list ends."""
+CPU_LOCKSTEPS, MIN_GROUPS = (128, 64, 32, 16), 8
+"""Tiles in a group on a CPU: their weights for a chunk of splats then fit into the L2 cache. Small
+views have smaller groups, because a group is only done when its longest list ends."""
 
 
 @jax.tree_util.register_dataclass
@@ -113,11 +112,9 @@ def bin_view(splats: Splats, camera: Camera, *, lockstep: int | None = None) -> 
     lists = bin_splats(known, camera.width, camera.height)
     tiles = len(lists.counts)
     if lockstep is None:
-        cpu = int(np.clip(tiles // MIN_GROUPS, MIN_LOCKSTEP, CPU_LOCKSTEP))
-        cpu = 1 << (cpu.bit_length() - 1)
-        lockstep = cpu if jax.default_backend() == "cpu" else bucket(tiles)
-    else:
-        lockstep = min(lockstep, tiles)
+        cpu = next((few for few in CPU_LOCKSTEPS if MIN_GROUPS * few <= tiles), CPU_LOCKSTEPS[-1])
+        lockstep = cpu if jax.default_backend() == "cpu" else tiles
+    lockstep = min(lockstep, tiles)
     padded = bucket(-(-tiles // lockstep)) * lockstep
     return View(
         splats=table,

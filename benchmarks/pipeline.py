@@ -38,7 +38,7 @@ from gsc_jax.scene import Camera, Gaussians
 from gsc_jax.splat import accumulate
 
 Part = Literal[
-    *("locate", "sizes", "robust", "attributes", "rendered", "memory", "cold", "sweep", "scaling")
+    "locate", "sizes", "robust", "attributes", "rendered", "memory", "cold", "sweep", "scaling"
 ]
 VIEWS, WIDTH, HEIGHT = 100, 640, 420
 

@@ -213,11 +213,12 @@ def _identified(places: dict[str, Path | None]) -> Row:
     digests = {name: content_digest(path) for name, path in places.items() if path}
     path = places["path"]
     assert path is not None
+    suffixes = "".join(path.suffixes[-2:]).lower().lstrip(".")
     return {
         "key": hashlib.sha256(repr(sorted(digests.items())).encode()).hexdigest(),
         "sha256": digests["path"],
         "bytes": content_bytes(path),
-        "format": "".join(path.suffixes[-2:]).lower().lstrip(".").removeprefix("point_cloud."),
+        "format": "sog" if path.is_dir() else suffixes.removeprefix("point_cloud."),
     }
 
 

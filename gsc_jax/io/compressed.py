@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gsc_jax.io.files import check_allocation
-from gsc_jax.io.sog import META, read_sog
+from gsc_jax.io.sog import INDEX, META, read_sog
 from gsc_jax.io.validation import reported, shown
 from gsc_jax.io.web_formats import read_glb, read_ksplat, read_splat
 from gsc_jax.scene import Gaussians, InputError
@@ -41,7 +41,7 @@ def read_compressed(path: Path, max_bytes: int | None = None) -> Gaussians:
     What a file expands to is compared with `max_bytes` before it is allocated. InputError if it is
     more, the file is damaged or of an unknown version, or gsply is needed and not installed.
     """
-    kind = path.suffix.lower()
+    kind = ".sog" if path.is_dir() else path.suffix.lower()
     if path.is_file():
         check_allocation(path, BYTES_PER_BYTE * path.stat().st_size, max_bytes)
         with path.open("rb") as file:
@@ -54,7 +54,7 @@ def read_compressed(path: Path, max_bytes: int | None = None) -> Gaussians:
         if kind == ".spz":
             _check_spz(path, max_bytes)
             return from_gsply(gsply.read_spz(path))
-        if kind == ".sog" or path.is_dir():
+        if kind == ".sog":
             return read_sog(path, lambda data: from_gsply(gsply.sogread(data)), max_bytes)
         return from_gsply(gsply.decompress_from_bytes(path.read_bytes()))
 
@@ -129,5 +129,5 @@ def from_gsply(data: Any) -> Gaussians:
 
 
 def _conversion(path: Path) -> str:
-    name = f"{path.name}/{META}" if path.is_dir() else path.name
-    return f"convert it: npx @playcanvas/splat-transform {name} scene.ply"
+    inside = [f"{path.name}/{name}" for name in (INDEX, META) if (path / name).is_file()]
+    return f"convert it: npx @playcanvas/splat-transform {[*inside, path.name][0]} scene.ply"

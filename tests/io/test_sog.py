@@ -54,6 +54,11 @@ def test_the_finest_level_and_the_environment_are_read(streamed):
     assert not np.asarray(found.sh[ROWS:, 1:]).any()  # the environment has no such bands
 
 
+def test_a_folder_is_no_file_of_the_format_in_its_name(streamed):
+    moved = streamed.rename(streamed.with_name("scene.splat"))
+    assert len(load_ply(moved)) == ROWS + ENVIRONMENT
+
+
 def test_the_chunks_follow_in_the_order_of_the_tree(streamed):
     parts = [load_ply(streamed / name) for name in CHUNKS]
     assert min(map(len, parts)) > 0
@@ -132,6 +137,7 @@ def test_a_damaged_index_is_refused(streamed, name, match):
     with pytest.raises(InputError, match=match) as refused:
         read_ply(streamed)
     assert str(refused.value).startswith(f"{streamed}: damaged or unknown")
+    assert "splat-transform scene/lod-meta.json" in str(refused.value)
 
 
 def test_memory_is_checked(streamed):

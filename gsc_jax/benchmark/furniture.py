@@ -37,7 +37,7 @@ CLOTH = Texture("grass.png", (0.55, 0.9, 0.95), (1.5, 1.5), contrast=0.6)
 def room_parts(rng: np.random.Generator) -> list[Part]:
     """Floor, walls and furniture of the room, with random books."""
     parts = [*_shell(), *_table(), *_chair(0.15, 0.6, 1), *_chair(-0.3, -0.6, -1), *_sofa()]
-    return [*parts, *_cabinet(), *_lamp(), *_shelf(rng), *_pictures()]
+    return [*parts, *_cabinet_and_lamp(), *_shelf(rng), *_pictures()]
 
 
 def vase_parts() -> list[Part]:
@@ -119,17 +119,12 @@ def _sofa() -> list[Part]:
     ]
 
 
-def _cabinet() -> list[Part]:
+def _cabinet_and_lamp() -> list[Part]:
+    shade = np.stack([np.linspace(0.24, 0.14, 17), np.linspace(0, 0.3, 17)], axis=-1)
     return [
         *_parts(box((1.95, -0.08, 0.3), 0.42, 0.7, 1.4), WALNUT),
         Part(ellipsoid((1.95, -0.98, 0.7), 0.18, 0.36), Texture("moon.png", (1.3, 1.2, 0.9)), 4.0),
         *_parts(box((1.95, -0.78, 0.0), 0.16, 0.3, 0.4), Texture("text.png", (1.2, 1, 0.8)), 5.0),
-    ]
-
-
-def _lamp() -> list[Part]:
-    shade = np.stack([np.linspace(0.24, 0.14, 17), np.linspace(0, 0.3, 17)], axis=-1)
-    return [
         Part(cylinder((1.75, 0, -1.55), 0.15, 0.14, 0.03), STEEL, 3.0),
         Part(cylinder((1.75, 0, -1.55), 0.018, 0.018, 1.5), STEEL, 6.0),
         Part(revolve(shade, (1.75, -1.45, -1.55)), PAPER, 4.0),

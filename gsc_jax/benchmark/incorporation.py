@@ -125,8 +125,7 @@ def placement_cost(
     frame = np.linalg.svd(offsets[ground] - offsets[ground].mean(axis=0), full_matrices=False)[2]
     horizontal = offsets[ground] @ np.linalg.svd(up[None])[2][1:].T
     outer = horizontal[np.linalg.norm(horizontal, axis=1) > 0.5 * radius]
-    angles = np.arctan2(outer[:, 1], outer[:, 0])
-    sectors = np.floor(angles * SECTORS / (2 * np.pi)) % SECTORS
+    sectors = np.floor(np.arctan2(outer[:, 1], outer[:, 0]) * SECTORS / (2 * np.pi)) % SECTORS
     missing = 1 - len(np.unique(sectors)) / SECTORS
     tilt = 1 - abs(frame[-1] @ up) if len(frame) == 3 else 1.0
     cost = obstacles / np.count_nonzero(ground) + missing + 4 * tilt

@@ -109,8 +109,7 @@ def recolour(gaussians: Gaussians, rng: np.random.Generator) -> tuple[Gaussians,
     # A rotation about the grey axis of RGB keeps 0.5 + Y h consistent for every harmonic h.
     rotation = Rotation.from_rotvec(np.radians(angle) * np.ones(3) / np.sqrt(3)).as_matrix()
     sh = np.asarray(gaussians.sh) @ rotation.T
-    shift = rng.choice([-1, 1]) * rng.uniform(0.05, 0.15) + _tint(rng, 0.2)
-    sh[:, 0] += shift / Y0
+    sh[:, 0] += (rng.choice([-1, 1]) * rng.uniform(0.05, 0.15) + _tint(rng, 0.2)) / Y0
     recoloured = dataclasses.replace(gaussians, sh=sh.astype(np.float32))
     return recoloured, f"its hue turned by {angle:.0f} degrees and its colour shifted"
 

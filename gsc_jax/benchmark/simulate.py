@@ -45,8 +45,7 @@ class Failures:
 
     def __post_init__(self) -> None:
         names = [field.name for field in dataclasses.fields(self)]
-        shares = dict.fromkeys(SHARES, (0.0, 1.0))
-        check_ranges(self, dict.fromkeys(names, (0.0, np.inf)) | shares)
+        check_ranges(self, dict.fromkeys(names, (0.0, np.inf)) | dict.fromkeys(SHARES, (0.0, 1.0)))
 
 
 REGIMES: Mapping[str, Failures] = {
@@ -98,8 +97,7 @@ def decoy_labels(gaussians: Gaussians, labels: np.ndarray, *, seed: int) -> np.n
     if not labels.any():
         raise ValueError("labels mark no Gaussian, so there is no object to match in size")
     means = np.asarray(gaussians.means)
-    middle = np.median(means[labels], axis=0)
-    distance = np.linalg.norm(means - middle, axis=1)
+    distance = np.linalg.norm(means - np.median(means[labels], axis=0), axis=1)
     # A quantile, since pasted objects contain a few stray Gaussians.
     radius = np.quantile(distance[labels], 0.9)
     opaque = np.asarray(gaussians.opacities) > 0.5
@@ -119,8 +117,7 @@ def decoy_labels(gaussians: Gaussians, labels: np.ndarray, *, seed: int) -> np.n
 def _random_share(among: np.ndarray, share: float, rng: np.random.Generator) -> np.ndarray:
     """Mask of a random share of the views in `among`, shape (V,) bool."""
     views = np.flatnonzero(among)
-    picked = rng.permutation(views)[: round(share * len(views))]
-    return np.isin(np.arange(len(among)), picked)
+    return np.isin(np.arange(len(among)), rng.permutation(views)[: round(share * len(views))])
 
 
 def _probability_map(

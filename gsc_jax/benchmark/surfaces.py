@@ -192,8 +192,7 @@ def sample_parts(
     shares = np.cumsum([part.surface.area * part.detail for part in parts])
     counts = np.diff(np.rint(shares / shares[-1] * count).astype(int), prepend=0)
     covered = [_cover(p, n, statistics, rng) for p, n in zip(parts, counts, strict=True) if n]
-    columns = map(np.concatenate, zip(*covered, strict=True))
-    return _surfels(columns, statistics, rng)
+    return _surfels(map(np.concatenate, zip(*covered, strict=True)), statistics, rng)
 
 
 def _cover(

@@ -98,11 +98,9 @@ def tamper(
     for _ in range(ATTEMPTS):
         try:
             proposed = make(gaussians, visibility, size, rng)
-            visible = _checked(proposed, cameras, visibility, size)
+            return _shuffled(proposed, kind, _checked(proposed, cameras, visibility, size), rng)
         except EditRejected as reason:
             reasons.append(str(reason))
-            continue
-        return _shuffled(proposed, kind, visible, rng)
     raise InputError(
         f"no {kind} of {100 * size:.3g} % of the pixels came out in {ATTEMPTS} attempts "
         f"({'; '.join(list(dict.fromkeys(reasons))[:3])}); try another size, seed or set of cameras"
@@ -118,8 +116,7 @@ def _checked(
     """Share of the pixels of each camera that show the edit; raise if it is unsuitable."""
     small, near = [regions.scaled_down(camera) for camera in cameras], visibility.near
     visible = regions.visible_shares(proposed.gaussians, small, proposed.labels, near=near)
-    seen = np.mean(visible >= VISIBLE_SHARE)
-    if seen < MIN_VISIBLE_VIEWS:
+    if (seen := np.mean(visible >= VISIBLE_SHARE)) < MIN_VISIBLE_VIEWS:
         raise EditRejected(f"{proposed.description}: seen in {seen:.0%} of the views")
     covers = regions.median_visible_share(visible)
     if not 1 / SIZE_TOLERANCE < covers / size < SIZE_TOLERANCE:

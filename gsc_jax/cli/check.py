@@ -157,7 +157,6 @@ def _extremes(
     spread = max(*np.linalg.norm(np.diff(ends, axis=0), axis=1), 3 * np.median(scales[:, 2]), 1e-30)
     length = np.linalg.norm(np.asarray(gaussians.quats, np.float64), axis=1)
     ratio = scales[:, 2] / np.maximum(scales[:, 1], 1e-30)
-    rgb = 0.5 + Y0 * np.asarray(gaussians.sh)[:, 0]
     hashes = np.zeros(len(means), np.uint64)
     for values in vars(gaussians).values():
         hashes = HASH_FACTOR * hashes + row_hashes(np.asarray(values).reshape(len(means), -1))
@@ -168,7 +167,7 @@ def _extremes(
     huge = scales[:, 2] > spread
     yield "warning", "huge", huge, "larger than the scene; haze, or a wall before the camera"
     yield "warning", "copies", copies, "exact copies of others, which are blended twice"
-    wild = np.abs(rgb - 0.5).max(axis=1) > 5
+    wild = np.abs(Y0 * np.asarray(gaussians.sh)[:, 0]).max(axis=1) > 5
     yield "warning", "colours", wild, "base colours far beyond 0 to 1; are they in 0 to 255?"
     yield "note", "needles", ratio > NEEDLE, "needles; they flicker at low resolution"
     yield "note", "flat", scales[:, 2] < FLAT * spread, "too small to be seen"

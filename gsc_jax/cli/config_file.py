@@ -44,9 +44,8 @@ class ConfigFile:
 
     def options(self) -> Locate:
         """Defaults for the command line; `tyro.MISSING` for required options that are not set."""
-        required = {"scene": tyro.MISSING, "out": tyro.MISSING}
         shared = {name: getattr(self.estimator, name) for name in SHARED_FIELDS}
-        return Locate(**{**required, **shared, **self.command})
+        return Locate(**{"scene": tyro.MISSING, "out": tyro.MISSING, **shared, **self.command})
 
     def for_method(self, method: Method) -> "ConfigFile":
         """The file without what depends on its method, if that is another one."""

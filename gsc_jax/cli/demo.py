@@ -68,9 +68,7 @@ def run_demo(
             raise InputError(f"{path}: exists and is not from `demo`; give another --out")
     made = made or tampered_room(seed=options.seed)
     case = _made_input(given, made, options.seed, monitor)
-    results = {
-        name: _locate(given, options.out / name, name, options.seed, monitor) for name in RUNS
-    }
+    results = {name: _locate(given, name, options, monitor) for name in RUNS}
     found = {name: _heldout_masks(case.made, result) for name, result in results.items()}
     _write_picture(options.out / "heldout.png", case, found)
     return [
@@ -105,14 +103,14 @@ def _made_input(folder: Path, made: MadeScene, seed: int, monitor: Monitor) -> C
     return case
 
 
-def _locate(given: Path, out: Path, name: str, seed: int, monitor: Monitor) -> Result:
+def _locate(given: Path, name: str, options: Demo, monitor: Monitor) -> Result:
     command = Locate(
         scene=given / "scene.ply",
         cameras=given / "cameras.json",
         masks=None if name == ATTRIBUTES_ONLY else given / "masks",
-        out=out,
+        out=options.out / name,
         method=RUNS[name],
-        seed=seed,
+        seed=options.seed,
     )
     return run_locate(command, monitor=Monitor(progress=monitor.progress)).result
 

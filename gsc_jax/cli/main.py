@@ -50,8 +50,6 @@ ENVIRONMENT = (
     *(errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EIO, errno.ESTALE),
 )
 """Numbers of errors of the machine: permissions, a full disk, limits, names, a failing device."""
-Answer = tuple[list[str], list[str]]
-"""Lines for stdout, and warnings."""
 
 DESCRIPTION = """\
 Find the tampered Gaussians in a 3D Gaussian Splatting model (GS-Checker, in JAX).
@@ -168,7 +166,8 @@ def _run(command: Command) -> None:
             print(count, *map(printable, found), sep="\n  ", file=sys.stderr)
 
 
-def _answer(command: Command, monitor: Monitor) -> Answer:
+def _answer(command: Command, monitor: Monitor) -> tuple[list[str], list[str]]:
+    """Lines for stdout, and warnings."""
     match command:
         case Evaluate():
             return run_evaluate(command)

@@ -142,8 +142,7 @@ def _write_overview(
     shown = evenly_spaced(judged, SHEET_ROWS)
     if any(shares.values()):
         shown = sorted(judged, key=lambda camera: -shares[camera.name])[:SHEET_ROWS]
-    candidates = are_candidates(result.verdict)
-    tint, found = (CANDIDATE, "candidates") if candidates else (TINT, "found")
+    tint, found = (CANDIDATE, "candidates") if are_candidates(result.verdict) else (TINT, "found")
     rows = {}
     for name in (camera.name for camera in shown):
         image = store.get(RENDER, name) / np.float32(255)

@@ -25,8 +25,7 @@ def overlay(rgb: np.ndarray, mask: np.ndarray, tint: np.ndarray = TINT) -> np.nd
     from scipy.ndimage import binary_dilation
 
     rgb, mask = np.asarray(rgb, np.float32), np.asarray(mask, bool)
-    tinted = (1 - TINT_STRENGTH) * rgb + TINT_STRENGTH * tint
-    picture = np.where(mask[..., None], tinted, rgb)
+    picture = np.where(mask[..., None], (1 - TINT_STRENGTH) * rgb + TINT_STRENGTH * tint, rgb)
     width = max(1, round(min(mask.shape) / 240))  # 2 pixels in a render of 640x480
     outline = np.asarray(binary_dilation(mask, iterations=width)) & ~mask
     halo = np.asarray(binary_dilation(outline, iterations=width)) & ~outline

@@ -83,8 +83,7 @@ def run_scan(options: Scan, *, monitor: Monitor) -> tuple[list[str], list[str]]:
     refuse_foreign_file(out / PAGE, MARK)
     settings = _settings(options)
     if options.dry_run:
-        text = f"Dry run: {len(entries):,} scenes, configuration {settings.digest()[:16]}."
-        return [text], []
+        return [f"Dry run: {len(entries):,} scenes, configuration {settings.digest()[:16]}."], []
     with locked(out / UNFINISHED), _connected(ray, options):
         cores = int(ray.cluster_resources().get("CPU", 1))
         workers = options.workers or max(cores // options.cpus, 1)
@@ -139,11 +138,9 @@ def _scanned(
 ) -> list[Row]:
     logging.getLogger("ray.data").setLevel(logging.ERROR)
     ray.data.DataContext.get_current().enable_progress_bars = False
-    blocks = min(len(entries), MAX_BLOCKS)
-    dataset = ray.data.from_items(list(entries), override_num_blocks=blocks)
+    dataset = ray.data.from_items(list(entries), override_num_blocks=min(len(entries), MAX_BLOCKS))
     rows = monitor.track("scenes", scan(dataset, settings=settings).iter_rows(), len(entries))
-    names = "id", "key", "status", "error_class"
-    return [{name: row[name] for name in names} for row in rows]
+    return [{name: row[name] for name in ("id", "key", "status", "error_class")} for row in rows]
 
 
 def _summary(

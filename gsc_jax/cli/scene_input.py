@@ -56,8 +56,7 @@ def read_scene(
     if "tamper" in {p.name for element in scene.ply.elements for p in element.properties}:
         warnings.append(f"{options.scene}: already has a property tamper, which is replaced")
     monitor.progress("load", 1, 2)
-    count = placed and (options.views or placed)
-    cameras = _read_cameras(options, scene, warnings, count)
+    cameras = _read_cameras(options, scene, warnings, placed and (options.views or placed))
     with naming(options.cameras or options.scene):
         check_names(cameras)
     monitor.progress("load", 2, 2)

@@ -95,8 +95,7 @@ def views_of(folder: Path) -> Path:
 
 def files_below(folder: Path) -> list[str]:
     """Files below a folder by relative path with slashes."""
-    paths = (path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
-    return sorted(path.as_posix() for path in paths)
+    return sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file())
 
 
 @contextlib.contextmanager
@@ -188,11 +187,9 @@ def _leftovers(out: Path, report: str, names: Sequence[str]) -> list[str]:
     """Pictures and scores of an earlier run that a run which writes `names` does not replace."""
     digests = ownership.listed_outputs(out, report)
     old = [name for name in digests if name not in names and name.endswith((".png", ".jpg"))]
+    left = [name for name in old if ownership.is_output(out, name, digests)]
     scored = "result.json" in digests and ownership.has_mark(out / EVALUATION, EVALUATION_MARK)
-    return [
-        *(name for name in old if ownership.is_output(out, name, digests)),
-        *[EVALUATION] * scored,
-    ]
+    return [*left, EVALUATION] if scored else left
 
 
 @contextlib.contextmanager

@@ -41,8 +41,7 @@ def run_tamper(options: Tamper, *, monitor: Monitor) -> tuple[list[str], list[st
     _check(options)
     scene, cameras = read_scene(options, warnings, monitor)
     cameras = choose_cameras(options, scene, cameras, warnings)
-    names = _planned(options, cameras)
-    refuse_foreign(options.out, names, report=REPORT)
+    refuse_foreign(options.out, _planned(options, cameras), report=REPORT)
     donor = _donor(options)
     with replacing(options.out, report=REPORT) as folder:
         monitor.progress("edit", 0, 1)
@@ -157,9 +156,8 @@ def _write_overview(
     """Scene before and after, difference and truth, in the views that show most of the edit."""
     best = np.argsort(-edited.visible, kind="stable")
     count = max(SHEET_ROWS, len(best) // 2)
-    shown = evenly_spaced([cameras[i] for i in best[:count]], SHEET_ROWS)
     rows = {}
-    for camera in shown:
+    for camera in evenly_spaced([cameras[i] for i in best[:count]], SHEET_ROWS):
         scenes = original, edited.gaussians
         before, after = (np.asarray(render(s, camera, near=near)[0]) for s in scenes)
         truth = truth_mask(edited.gaussians, camera, edited.labels, near=near)
@@ -178,8 +176,7 @@ def _lines(options: Tamper, edited: Tampered) -> list[str]:
     ]
     if options.masks == "none":
         return lines
-    found = out.with_name(f"{out.name}-found")
     command = ["gsc-jax", "locate", out / "scene.ply", "--cameras", out / "cameras.json"]
-    command += ["--masks", out / "masks", "--out", found]
+    command += ["--masks", out / "masks", "--out", out.with_name(f"{out.name}-found")]
     command += ["--near", options.near] if options.near != NEAR else []
     return [*lines, f"find it  {shlex.join(map(str, command))}"]

@@ -56,7 +56,6 @@ def run_verify(options: Verify) -> tuple[list[str], list[str]]:
 
 
 def _compare(path: Path, sha256: Any, report: str) -> None:
-    found = content_digest(path)
-    if found != sha256:
+    if (found := content_digest(path)) != sha256:
         sums = f"its SHA-256 is {found[:16]}..., in {report} {str(sha256)[:16]}..."
         raise InputError(f"{path}: has changed since the run: {sums}; use an unchanged copy")

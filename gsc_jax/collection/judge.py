@@ -64,8 +64,7 @@ def _judged(options: Locate, report_above: float | None, monitor: Monitor) -> Ro
         with monitor.stage("load"):
             inputs = inputs if inputs.cameras else read_inputs(options, monitor=monitor)
         # The maps of a network come from its cache; the attributes are those already computed.
-        located = locate_and_write(inputs, prior=given, monitor=monitor)
-        row["warnings"] = located.result.warnings
+        row["warnings"] = locate_and_write(inputs, prior=given, monitor=monitor).result.warnings
         row["report"] = f"{options.out.name}/report.html"
     return row
 

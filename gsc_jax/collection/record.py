@@ -33,8 +33,7 @@ def schema(row: Mapping[str, Any]) -> "pa.Schema":
     """Schema of a row: the columns of every scan, and those of the manifest as text."""
     import pyarrow as pa
 
-    measured = {"name": pa.string(), "seconds": pa.float64(), "peak_mib": pa.float64()}
-    stage = pa.struct(list(measured.items()))
+    stage = pa.struct({"name": pa.string(), "seconds": pa.float64(), "peak_mib": pa.float64()})
     kinds = {name: pa.string() for name in TEXTS}
     kinds |= {name: pa.int64() for name in WHOLE} | {name: pa.float64() for name in REAL}
     kinds |= {name: pa.list_(pa.string()) for name in LISTS} | {"stages": pa.list_(stage)}

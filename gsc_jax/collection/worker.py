@@ -59,8 +59,7 @@ class Ledger:
         """Claim a content for a scene; the same scene may claim again, as after a lost node."""
         if scene in self._finished.get(key, ()):
             return Claim(owner=scene)
-        owner = self._owners.setdefault(key, scene)
-        if owner != scene:
+        if (owner := self._owners.setdefault(key, scene)) != scene:
             return Claim(owner=owner)
         self._begun[key] += 1
         return Claim(attempt=self._begun[key])

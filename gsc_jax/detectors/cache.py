@@ -61,8 +61,7 @@ class CachedDetector:
         name = hashlib.blake2b(facts + image.tobytes(), digest_size=16).hexdigest()
         with self._failing_softly():
             if all(self._store.has(kind, name) for kind in (MAP, DIAGNOSTICS)):
-                counts = json.loads(bytes(self._store.get(DIAGNOSTICS, name)))
-                if counts is not None:
+                if (counts := json.loads(bytes(self._store.get(DIAGNOSTICS, name)))) is not None:
                     self.diagnostics[camera.name] = counts
                 return np.array(self._store.get(MAP, name))
         probability = np.asarray(self.detector(image, camera), np.float32)

@@ -60,8 +60,7 @@ class FolderDetector:
 
     def select(self, cameras: Sequence[Camera]) -> list[Camera]:
         """Cameras that have a mask, in their order; InputError if there is none."""
-        matched = self._matched(cameras)
-        if matched:
+        if matched := self._matched(cameras):
             return [camera for camera in cameras if camera.name in matched]
         if not cameras:
             raise InputError(f"{self.path}: there are no cameras to find masks for")
@@ -118,8 +117,7 @@ class FolderDetector:
         """Names of the cameras that have a mask, each file given to its most exact match."""
         candidates: dict[str, list[tuple[int, str]]] = defaultdict(list)
         for camera in cameras:
-            match = self._best_match(camera.name)
-            if match is not None:
+            if match := self._best_match(camera.name):
                 candidates[match[1]].append((match[0], camera.name))
         for file, ranked in candidates.items():
             ranked.sort()

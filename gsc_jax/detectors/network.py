@@ -142,7 +142,6 @@ class NetworkDetector(ABC):
 
     Attributes:
         model: The model, for messages.
-        needs_image: True.
         anomalies: Warning text for each anomaly in the output, with its "{count}".
         diagnostics: Counts of the anomalies by view.
     """

@@ -67,8 +67,7 @@ class OnnxDetector(NetworkDetector):
     def detect(self, image: np.ndarray, view: str) -> tuple[np.ndarray, dict[str, int]]:
         """Probability map, and counts of the anomalies "not_finite" and "squashed"."""
         target = self._target(*image.shape[:2])
-        low_pass = self.spec.low_pass
-        canvas, content = fit_image(image, target, fit=self.spec.fit, low_pass=low_pass)
+        canvas, content = fit_image(image, target, fit=self.spec.fit, low_pass=self.spec.low_pass)
         (output,) = self._network.run(to_tensor(canvas, self.spec), view=view)
         probability, counts = self._activate(self._channels(output, target))
         return remap_threshold(crop_map(probability, target, content), self.spec.threshold), counts

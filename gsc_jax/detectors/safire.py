@@ -129,8 +129,7 @@ def _model_files(folder_or_encoder: Path, decoder: str | Path | None) -> tuple[P
     if decoder is not None:
         return folder_or_encoder, Path(decoder)
     folder = folder_or_encoder
-    missing = [name for name in FILES if not (folder / name).is_file()]
-    if missing:
+    if missing := [name for name in FILES if not (folder / name).is_file()]:
         found = f"holds no {' and no '.join(missing)}" if folder.is_dir() else "is not a folder"
         raise InputError(
             f"{folder}: {found}, expected a folder with {' and '.join(FILES)} (SAFIRE is two "

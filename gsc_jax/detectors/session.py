@@ -56,8 +56,7 @@ def open_session(
             path, options, providers=names, enable_fallback=False
         )
     # onnxruntime silently drops a provider without a driver.
-    missing = [name for name in names if name not in session.get_providers()]
-    if missing:
+    if missing := [name for name in names if name not in session.get_providers()]:
         raise InputError(
             f"{path}: onnxruntime could not start {missing[0]} (is its driver installed?), "
             f"expected one of {', '.join(session.get_providers())}"

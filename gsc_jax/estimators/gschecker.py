@@ -62,7 +62,6 @@ class GSChecker(Estimator):
     seed: int = 0
 
     def __post_init__(self) -> None:
-        """Check the fields."""
         self.check_fields({"epochs": (1, 1000)})
 
     def for_views(self, views: int) -> "GSChecker":
@@ -123,8 +122,7 @@ class GSChecker(Estimator):
 
     def _empty_groups(self, group_sizes: np.ndarray) -> list[str]:
         """Warn if a group was empty, and the 3D loss therefore 0, in every iteration."""
-        start = resolved(self.loop, len(group_sizes)).contrastive_start
-        contrasted = group_sizes[start:]
+        contrasted = group_sizes[resolved(self.loop, len(group_sizes)).contrastive_start :]
         if not len(contrasted) or contrasted.all(axis=1).any():
             return []
         empty = [f"G_{g}" for g, n in zip("hml", contrasted.max(axis=0), strict=True) if not n]

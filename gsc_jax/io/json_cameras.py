@@ -51,8 +51,7 @@ def construct_cameras(
         try:
             cameras.append(construct(item))
         except pydantic.ValidationError as error:
-            message = one_line(error, where, item)
-            raise InputError(f"{message}; export the cameras again") from error
+            raise InputError(f"{one_line(error, where, item)}; export the cameras again") from error
         except (OSError, ValueError) as error:
             raise InputError(f"{where}: {error}") from error
     return cameras
@@ -86,17 +85,10 @@ def pinhole(
             f"the camera-to-world rotation {problem}, expected an orthonormal matrix of "
             "determinant 1; export the poses again without it"
         )
-    viewmat, K = np.eye(4), np.diag([*focal, 1.0])
-    viewmat[:3, :3] = rotation.T
-    viewmat[:3, 3] = -rotation.T @ position
+    viewmat, K = np.eye(4, dtype=np.float32), np.diag([*focal, 1.0]).astype(np.float32)
+    viewmat[:3] = np.column_stack([rotation.T, -rotation.T @ position])
     K[:2, 2] = center
-    return Camera(
-        viewmat=viewmat.astype(np.float32),
-        K=K.astype(np.float32),
-        width=size[0],
-        height=size[1],
-        name=name,
-    )
+    return Camera(viewmat=viewmat, K=K, width=size[0], height=size[1], name=name)
 
 
 def _rotation_problem(rotation: np.ndarray) -> str:

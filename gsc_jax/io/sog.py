@@ -135,8 +135,7 @@ def _check_tables(meta: dict[str, Any]) -> None:
     """Refuse tables of another length than that for which gsply reads them without a check."""
     for attribute, lengths in TABLES.items():
         for table, length in lengths.items():
-            found = len(meta.get(attribute, {}).get(table, range(length)))
-            if found != length:
+            if (found := len(meta.get(attribute, {}).get(table, range(length)))) != length:
                 raise ValueError(f"{attribute}.{table} has {found} entries, expected {length}")
     if not meta.get("count", 1) > 0:
         raise ValueError("no Gaussians")

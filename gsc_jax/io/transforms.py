@@ -63,8 +63,7 @@ def read_transforms(data: Mapping[str, Any], path: Path) -> list[Camera]:
 def _camera(item: Any, folder: Path) -> Camera:
     frame = _Frame.model_validate(item)
     found = [key for key in DISTORTION if item.get(key)]
-    model = item.get("camera_model", "PINHOLE")
-    if model not in PINHOLE_MODELS:
+    if (model := item.get("camera_model", "PINHOLE")) not in PINHOLE_MODELS:
         found.append(f"camera model {shown(model)}")
     if found:
         raise ValueError(

@@ -40,7 +40,9 @@ def one_line(
         last, short = first["loc"][-1], f"expected more values, found {shown(found)}"
         return f"{name}: {short if isinstance(last, int) else f'{last!r} is missing'}"
     reasons = dict.fromkeys(
-        "expected an object with keys" if problem["type"] in NO_TABLE else _reason(problem["msg"])
+        "expected an object with keys"
+        if problem["type"] in NO_TABLE  # else in the words of this package
+        else problem["msg"].removeprefix("Value error, ").replace("Input should be", "expected", 1)
         for problem in problems
         if _located(problem["loc"], given)[0] == key
     )
@@ -98,14 +100,8 @@ def _located(location: Sequence[int | str], given: Any) -> tuple[str, Any]:
     return key.removeprefix("."), given
 
 
-def _reason(message: str) -> str:
-    """A message of pydantic in the words of this package."""
-    return message.removeprefix("Value error, ").replace("Input should be", "expected", 1)
-
-
 def suggestion(key: str, known: list[str]) -> str:
     """What a mistyped key may mean, or all that are known, as the end of a sentence."""
-    close = difflib.get_close_matches(key.lower(), known, n=1)
-    if close:
+    if close := difflib.get_close_matches(key.lower(), known, n=1):
         return f" (did you mean {close[0]!r}?)"
     return f", expected one of {', '.join(known)}" if known else ""

@@ -108,8 +108,7 @@ def read_glb(path: Path, max_bytes: int | None = None) -> Gaussians:
         raise ValueError(f"no primitive with {GLTF}")
     if len(found) > 1 and any(PLACES & set(node) for node in tree.get("nodes", [])):
         raise ValueError("several primitives, and nodes that move them")
-    parts = [_gltf_primitive(tree, binary, primitive["attributes"]) for primitive in found]
-    return concatenate(parts)
+    return concatenate([_gltf_primitive(tree, binary, one["attributes"]) for one in found])
 
 
 def _gltf_primitive(

@@ -118,10 +118,9 @@ def complete_page(package: str, name: str, **values: Any) -> str:
         autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
     )
     environment.filters |= {"share": wording.share, "percent": wording.percent, "trusted": Markup}
-    digest = hashlib.sha256(read("js").encode()).digest()
     return environment.from_string(read("html")).render(
         style=read("css"),
         script=read("js"),
-        script_hash=base64.b64encode(digest).decode(),
+        script_hash=base64.b64encode(hashlib.sha256(read("js").encode()).digest()).decode(),
         **values,
     )

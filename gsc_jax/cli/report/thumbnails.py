@@ -42,11 +42,10 @@ def thumbnails(folder: Path, names: Sequence[str]) -> Iterator[list[Thumbnail]]:
     side = thumbnail_side(len(names))
 
     def of_view(name: str) -> list[Thumbnail]:
-        paths = {layer: layer_path(folder, layer, name) for layer in LAYERS}
         return [
             Thumbnail(layer, data_uri(path, side), url(path, folder))
-            for layer, path in paths.items()
-            if path.is_file()
+            for layer in LAYERS
+            if (path := layer_path(folder, layer, name)).is_file()
         ]
 
     with view_threads() as pool:

@@ -81,8 +81,7 @@ def share(part: float) -> str:
 
 def headline(verdict: float | None, tampered: int) -> str:
     """State in one sentence what was found, by scene probability and label count."""
-    found = outcome(verdict)
-    if found is not None:
+    if (found := outcome(verdict)) is not None:
         return HEADLINES[found]
     if tampered:
         return "Gaussians are labelled, but this method gives no scene probability."

@@ -66,8 +66,7 @@ def guarded(access: Access) -> Iterator[None]:
 
     def serve(*arguments: Any, process_request: Callable | None, **options: Any) -> Any:
         def check(connection: server.ServerConnection, request: "Request") -> Any:
-            path = access.path(request)
-            if path is None:
+            if (path := access.path(request)) is None:
                 return connection.respond(HTTPStatus.FORBIDDEN, "use the address that was printed")
             return (process_request or (lambda *_: None))(
                 connection, dataclasses.replace(request, path=path)

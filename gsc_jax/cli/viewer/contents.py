@@ -50,12 +50,11 @@ def pose(camera: Camera, means: Array, *, up: Array, near: float = NEAR) -> Pose
     visible = (z > near) & (abs(x) < half_width * z) & (abs(y) < half_height * z)
     depth = float(np.median(z[visible])) if visible.any() else 1.0
     level = np.asarray(up, np.float64) - (up @ right) * right
-    is_level = level @ -down > MIN_LEVEL
     return Pose(
         name=camera.name,
         position=position,
         look_at=position + depth * forward,
-        up=level / np.linalg.norm(level) if is_level else -down,
+        up=level / np.linalg.norm(level) if level @ -down > MIN_LEVEL else -down,
         fov=2 * float(np.arctan(half_height)),
     )
 
@@ -121,7 +120,6 @@ def viewer_contents(
     up = mean_up(results.cameras)
     poses = [pose(camera, sample, up=up, near=near) for camera in results.cameras]
     places = [place for pose in poses for place in (pose.position, pose.look_at)]
-    diagonal = np.linalg.norm(np.ptp(np.concatenate([chosen.centers, places]), axis=0))
     contents = Contents(
         title=results.folder.resolve().name,
         sentences=_sentences(results),
@@ -136,7 +134,7 @@ def viewer_contents(
         poses=poses,
         up=up,
         near=near,
-        far=2 * float(diagonal),
+        far=2 * float(np.linalg.norm(np.ptp(np.concatenate([chosen.centers, places]), axis=0))),
     )
     return contents, _omission(results, rows)
 

@@ -51,11 +51,10 @@ def splats(gaussians: Gaussians) -> Splats:
     """Convert Gaussians; the covariance is R S S^T R^T."""
     scales = np.asarray(gaussians.scales)
     axes = rotation_matrices(gaussians) * scales.astype(np.float64)[:, None, :]
-    rgbs = 0.5 + Y0 * np.asarray(gaussians.sh, np.float32)[:, 0]
     return Splats(
         centers=np.asarray(gaussians.means, np.float32),
         covariances=(axes @ axes.swapaxes(1, 2)).astype(np.float32),
-        rgbs=np.clip(rgbs, 0, 1),
+        rgbs=np.clip(0.5 + Y0 * np.asarray(gaussians.sh, np.float32)[:, 0], 0, 1),
         opacities=np.asarray(gaussians.opacities, np.float32)[:, None],
         scales=scales,
     )
@@ -69,11 +68,9 @@ def largest(gaussians: Gaussians, count: int, *, first: np.ndarray) -> np.ndarra
     if count >= len(gaussians):
         return np.arange(len(gaussians))
     axes = np.sort(np.asarray(gaussians.log_scales, np.float64), axis=1)
-    opacities = np.asarray(gaussians.opacities, np.float64)
     with np.errstate(divide="ignore"):  # log 0 = -inf sorts invisible Gaussians last
-        sizes = np.log(opacities) + axes[:, 1] + axes[:, 2]
-    order = np.lexsort((-sizes, ~(first & np.isfinite(sizes))))
-    return np.sort(order[:count])
+        sizes = np.log(np.asarray(gaussians.opacities, np.float64)) + axes[:, 1] + axes[:, 2]
+    return np.sort(np.lexsort((-sizes, ~(first & np.isfinite(sizes))))[:count])
 
 
 def heat(score: Array) -> np.ndarray:
@@ -100,8 +97,7 @@ def layer_colours(
     if layer == "heat map":
         grey = (splats.rgbs @ LUMA)[:, None].astype(np.float32)
         return (1 - GREY_SHARE) * heat(score) + GREY_SHARE * grey, splats.opacities
-    visible = tampered == (layer == "tampered only")
-    return splats.rgbs, splats.opacities * visible[:, None]
+    return splats.rgbs, splats.opacities * (tampered == (layer == "tampered only"))[:, None]
 
 
 def half_precision_unit(splats: Splats) -> float:

@@ -98,7 +98,6 @@ class RobustEstimator(Estimator):
     seed: int = 0
 
     def __post_init__(self) -> None:
-        """Check the fields."""
         self.check_fields(RANGES)
         valid = isinstance(self.classes, tuple) and self.classes
         if not valid or not all(count in range(2, MAX_CLASSES + 1) for count in self.classes):
@@ -182,10 +181,9 @@ class RobustEstimator(Estimator):
             seed=self.seed,
         )
         used = np.asarray(fit.classes.shares) > 0
-        members = np.asarray(fit.responsibilities)[used] * represents
         return assign_roles(
             np.asarray(fit.classes.rates)[used],
-            members @ seen.T,
+            (np.asarray(fit.responsibilities)[used] * represents) @ seen.T,
             inversion=self.inversion,
             distractors=self.distractors,
         )
@@ -211,11 +209,10 @@ def pattern_distance(evidence: EvidenceOfViews, roles: Roles, half_weight: float
 
     Between 0 and V, shape (N, C) float32; the visibility is one half at `half_weight` pixels.
     """
-    inverted = roles.inverted[:, None]
     patterns = roles.patterns.astype(np.float32)
     distance = np.empty((evidence.shape[1], len(patterns)), np.float32)
     for block in blocks(len(distance), BLOCK):
         seen, flagged = visibility(evidence, block, half_weight)
-        flagged = np.where(inverted, seen - flagged, flagged)
+        flagged = np.where(roles.inverted[:, None], seen - flagged, flagged)
         distance[block] = (seen - 2 * flagged).T @ patterns.T + flagged.sum(axis=0)[:, None]
     return distance

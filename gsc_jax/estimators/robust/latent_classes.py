@@ -114,8 +114,7 @@ def _fit_one(flagged: Array, clear: Array, used: Array, key: Array) -> tuple[Cla
     classes, likelihood, _, iterations = jax.lax.while_loop(improves, step, first)
     views = jnp.sum(jnp.any(flagged + clear > 0, axis=1), dtype=jnp.float32)
     parameters = jnp.sum(used) * (views + 1)
-    penalty = 0.5 * parameters * jnp.log(jnp.float32(size))
-    return classes, size * likelihood - penalty, iterations
+    return classes, size * likelihood - 0.5 * parameters * jnp.log(jnp.float32(size)), iterations
 
 
 def _log_joint(classes: Classes, flagged: Array, clear: Array) -> Array:
@@ -151,6 +150,5 @@ def _start_rates(flagged: Array, clear: Array, count: int, key: Array) -> Array:
         start = 0.8 * own + 0.2 * mean
         return rates.at[k].set(start), jnp.minimum(nearest, distance(start))
 
-    rates = jnp.tile(mean, (count, 1))
-    rates, _ = jax.lax.fori_loop(1, count, pick, (rates, distance(mean)))
+    rates, _ = jax.lax.fori_loop(1, count, pick, (jnp.tile(mean, (count, 1)), distance(mean)))
     return jnp.clip(rates, RATE_FLOOR, 1 - RATE_FLOOR)

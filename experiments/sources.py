@@ -23,7 +23,7 @@ from tqdm import tqdm
 from train_classifier import train_network
 
 from gsc_jax.benchmark.metrics import auc
-from gsc_jax.benchmark.tamper import EDITS
+from gsc_jax.benchmark.tamper import EDITS, Edit
 from gsc_jax.forensics.classifier import (
     Layers,
     default_classifier,
@@ -70,7 +70,7 @@ def train_networks(
 
 
 def rows_of(
-    host: str, edit: str, seed: int, networks: Networks, args: SourcesArgs
+    host: str, edit: Edit, seed: int, networks: Networks, args: SourcesArgs
 ) -> Iterator[Row]:
     """Measure one case by every network that never saw its sources."""
     case = draw_case(host, edit, seed, args.bank, args.data)

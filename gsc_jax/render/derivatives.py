@@ -9,10 +9,11 @@ import numpy as np
 
 from gsc_jax.render.tiles import TILE, View
 from gsc_jax.render.walk import MAX_ALPHA, groups, pixel_centers, split_tiles, walk
+from gsc_jax.scene import Array
 
 
 def derivatives(
-    view: View, features: jax.Array, image: jax.Array, cotangent: jax.Array
+    view: View, features: jax.Array, image: Array, cotangent: Array
 ) -> tuple[jax.Array, jax.Array]:
     """Differentiate `composite` by the splats and by the features, in one walk front to back.
 

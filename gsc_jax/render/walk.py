@@ -107,7 +107,7 @@ def split_tiles(image: Array, padded: int) -> jax.Array:
 
 
 @functools.partial(jax.jit, static_argnums=(1, 2))
-def join_tiles(tiles: Array, width: int, height: int) -> jax.Array:
+def join_tiles(tiles: jax.Array, width: int, height: int) -> jax.Array:
     """Join tiles in row-major order, as of `split_tiles`, into an image (height, width, D)."""
     rows, columns = -(-height // TILE), -(-width // TILE)
     cells = tiles[: rows * columns].reshape(rows, columns, -1, TILE, TILE).transpose(0, 3, 1, 4, 2)

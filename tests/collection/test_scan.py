@@ -169,13 +169,21 @@ def test_a_scene_beyond_the_timeout_is_a_row_and_is_tried_again_later(tmp_path):
 
 
 def processes() -> set[int]:
-    """Ids of the processes in which workers judge scenes, from their start on."""
+    """Ids of the processes in which workers of this cluster judge scenes, from their start on."""
     found = set()
     for place in Path("/proc").glob("[0-9]*/cmdline"):
+        pid = int(place.parent.name)
         with contextlib.suppress(OSError):
-            if b"ray::_Judge" in place.read_bytes():
-                found.add(int(place.parent.name))
+            if b"ray::_Judge" in place.read_bytes() and os.getpid() in ancestors(pid):
+                found.add(pid)
     return found
+
+
+def ancestors(pid: int) -> Iterator[int]:
+    """Ids of the processes that started a process: another test may have a cluster, too."""
+    while pid > 1:
+        yield pid
+        pid = int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1])
 
 
 @contextlib.contextmanager

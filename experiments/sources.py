@@ -5,7 +5,8 @@
 A source is a scene, with its captures if there is a bank. For each, networks are trained on every
 set of other sources, and applied to other edits of it, each after one exporter or harmless history.
 With no source at all, novelty alone decides, for which nothing is trained. Objects that are pasted
-were pasted into other hosts in training, too. Edits are quick ones, of parts of the hosts.
+were pasted into other hosts in training, too, and none is cut out of another source. Edits are
+quick ones, of parts of the hosts.
 """
 
 import dataclasses
@@ -73,8 +74,9 @@ def rows_of(
     host: str, edit: Edit, seed: int, networks: Networks, args: SourcesArgs
 ) -> Iterator[Row]:
     """Measure one case by every network that never saw its sources."""
-    case = draw_case(host, edit, seed, args.bank, args.data)
-    if case is None:
+    case, learned = draw_case(host, edit, seed, args.bank, args.data), frozenset().union(*networks)
+    # All numbers of sources on the same cases: none of a donor that some of the networks saw.
+    if case is None or case.sources & learned != {source_of(host)}:
         return
     features = compute_features(with_finite_scales(case.gaussians))
     classifier = default_classifier()

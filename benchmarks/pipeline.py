@@ -99,7 +99,8 @@ def sizes(count: int = 24) -> dict:
     seconds = {}
     for name, step in (("one", 0.0), ("many", 0.02)):
         jax.clear_caches()
-        own = [view.scaled(1 - step * k) for k, view in enumerate(views[:count])]
+        scales = 1 + step * (np.arange(count) - (count - 1) / 2)  # of the same area in the mean
+        own = [view.scaled(scale) for view, scale in zip(views, scales.tolist(), strict=False)]
         seconds[name] = gsc_jax.locate(gaussians, own, masks, prior=False).seconds
     return {"views": count, **seconds}
 

@@ -98,7 +98,8 @@ def tamper(
     for _ in range(ATTEMPTS):
         try:
             proposed = make(gaussians, visibility, size, rng)
-            return _shuffled(proposed, kind, _checked(proposed, cameras, visibility, size), rng)
+            visible = _checked(proposed, cameras, visibility, size)
+            return _shuffled(proposed, kind, visible, rng)
         except EditRejected as reason:
             reasons.append(str(reason))
     raise InputError(

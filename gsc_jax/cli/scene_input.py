@@ -73,7 +73,8 @@ def _read_cameras(
         return []
     else:
         stated = "z" if Z_UP_COMMENT in scene.ply.comments else None
-        stated = "y" if options.scene.suffix.lower() == Y_UP_FORMAT else stated
+        if options.scene.is_file() and options.scene.suffix.lower() == Y_UP_FORMAT:
+            stated = "y"
         known = options.up or stated
         up = parse_up(known) if known else estimated_up(gaussians)
         orbit = orbit_cameras(gaussians, count, up=up, seed=options.seed)

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator
 
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from gsc_jax.render.tiles import View
 from gsc_jax.scene import Array, pytree
@@ -140,8 +141,10 @@ class SparseEvidence(EvidenceOfViews):
 
 def view_evidence(view: View, mask: Array) -> Evidence:
     """Lift a mask (H, W) in [0, 1]: blending weight of N Gaussians, in total and inside of it."""
-    mask = np.asarray(mask, np.float32)
-    total, tampered = accumulate(view, np.stack([np.ones_like(mask), mask], axis=-1)).T
+    # In NumPy, if the mask is known: JAX would compile for each size of an image.
+    numpy = jnp if isinstance(mask, Tracer) else np
+    mask = numpy.asarray(mask, jnp.float32)
+    total, tampered = accumulate(view, numpy.stack([numpy.ones_like(mask), mask], axis=-1)).T
     return Evidence(total=total, tampered=jnp.minimum(tampered, total))
 
 

@@ -95,16 +95,18 @@ def is_compressed_ply(ply: "PlyData", path: Path) -> bool:
 
 
 def _check_spz(path: Path, max_bytes: int | None) -> None:
-    """Refuse a .spz whose streams expand to more than is allowed; nothing of them is kept.
-
-    One of version 4 has a table of the sizes of its streams, which state their own sizes, too.
-    """
+    """Refuse a .spz whose streams expand to more than is allowed; nothing of them is kept."""
     data = path.read_bytes()
-    if not data.startswith(SPZ_MAGIC):
-        with gzip.open(path) as stream:
-            while stream.read(BLOCK_BYTES):
-                check_allocation(path, BYTES_PER_BYTE * stream.tell(), max_bytes)
+    if data.startswith(SPZ_MAGIC):
+        _check_spz_streams(data, path, max_bytes)
         return
+    with gzip.open(path) as stream:
+        while stream.read(BLOCK_BYTES):
+            check_allocation(path, BYTES_PER_BYTE * stream.tell(), max_bytes)
+
+
+def _check_spz_streams(data: bytes, path: Path, max_bytes: int | None) -> None:
+    """Check the sizes in the table of a .spz of version 4, and those that its streams state."""
     import zstandard
 
     streams, table = struct.unpack_from("<BI", data, 15)
@@ -128,4 +130,5 @@ def from_gsply(data: Any) -> Gaussians:
 
 def _conversion(path: Path) -> str:
     inside = [f"{path.name}/{name}" for name in (INDEX, META) if (path / name).is_file()]
-    return f"convert it: npx @playcanvas/splat-transform {[*inside, path.name][0]} scene.ply"
+    name = next(iter(inside), path.name)
+    return f"convert it: npx @playcanvas/splat-transform {name} scene.ply"

@@ -40,14 +40,17 @@ def one_line(
         last, short = first["loc"][-1], f"expected more values, found {shown(found)}"
         return f"{name}: {short if isinstance(last, int) else f'{last!r} is missing'}"
     reasons = dict.fromkeys(
-        "expected an object with keys"
-        if problem["type"] in NO_TABLE  # else in the words of this package
-        else problem["msg"].removeprefix("Value error, ").replace("Input should be", "expected", 1)
+        "expected an object with keys" if problem["type"] in NO_TABLE else _reason(problem["msg"])
         for problem in problems
         if _located(problem["loc"], given)[0] == key
     )
     whole = not key and first["type"] not in NO_TABLE
     return f"{name}: {' or '.join(reasons)}" + ("" if whole else f", found {shown(found)}")
+
+
+def _reason(message: str) -> str:
+    """A message of pydantic in the words of this package."""
+    return message.removeprefix("Value error, ").replace("Input should be", "expected", 1)
 
 
 def shown(value: Any) -> str:

@@ -62,7 +62,7 @@ def project(gaussians: Gaussians, camera: Camera, *, near: float = NEAR) -> Spla
     if not isinstance(near, Tracer) and not near > 0:
         raise ValueError(f"near must be positive, got {near}")
     parameters = gaussians.means, gaussians.log_scales, gaussians.quats, gaussians.logit_opacities
-    size = float(camera.width), float(camera.height)  # no constants, for each of which JAX compiles
+    size = float(camera.width), float(camera.height)  # no constants, which JAX would compile
     return _project(parameters, Pinhole(camera.viewmat, camera.K, size), near)
 
 

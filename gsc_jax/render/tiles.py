@@ -30,8 +30,8 @@ MAX_INTERSECTIONS = 2**28
 """Intersections of splats and tiles in a view: more would fill the memory, and real scenes have a
 few per splat."""
 CPU_LOCKSTEPS, MIN_GROUPS = (128, 64, 32, 16), 8
-"""Tiles in a group on a CPU: their weights for a chunk of splats then fit into the L2 cache. Small
-views have smaller groups, because a group is only done when its longest list ends."""
+"""Tiles in a group on a CPU, whose weights for a chunk of splats fit into the L2 cache: the most of
+which there are so many groups, because a group is only done when its longest list ends."""
 
 
 @jax.tree_util.register_dataclass
@@ -69,7 +69,7 @@ class View:
 
     @property
     def of_any_size(self) -> "View":
-        """The view without its image size, for each of which JAX would compile again."""
+        """The view without its image size and `grid`, so that sizes share compiled code."""
         return dataclasses.replace(self, width=0, height=0)
 
 

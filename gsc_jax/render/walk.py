@@ -96,7 +96,7 @@ def groups(view: View) -> tuple[Array, ...]:
 def split_tiles(image: Array, padded: int) -> jax.Array:
     """Split an image (H, W, D) into tiles in row-major order, then blank ones, (padded + 1, D, 64).
 
-    The number of tiles is padded to that of a view; the last tile stands for its padding.
+    The number of tiles is padded to that of a view, whose padding points to the last tile.
     """
     height, width, channels = image.shape
     rows, columns = -(-height // TILE), -(-width // TILE)

@@ -51,8 +51,9 @@ class Neighbourhoods:
     nearest: np.ndarray
 
     def mean(self, values: np.ndarray) -> np.ndarray:
-        """Means over the neighbours of values (N,) or (N, D); twice: over their neighbours, too."""
-        values, k = np.ascontiguousarray(values), self.nearest.shape[1]  # else a copy per block
+        """Means over the neighbours of values, (N,) or (N, D); twice, over theirs, too."""
+        values = np.ascontiguousarray(values)  # else each block would copy all of them
+        k = self.nearest.shape[1]
 
         def means(nearest: np.ndarray) -> np.ndarray:
             # A sparse matrix of all rows would take as much memory again as the indices.

@@ -25,6 +25,7 @@ SCRIPTS = (
     "published",
     "published_fit",
     "robustness",
+    "sources",
     "speed_accuracy",
     "stability",
     "unseen",

@@ -102,7 +102,8 @@ def train_network(cases: Sequence[Examples], seed: int) -> Layers:
         rows = np.minimum(np.searchsorted(cumulative, rng.random(BATCH)), len(labels) - 1)
         key = jax.random.key(seed * STEPS + k, impl="unsafe_rbg")
         batch = values[rows].astype(np.float32), labels[rows].astype(np.float32)
-        layers, state = step(layers, state, *batch, key)
+        with jax.numpy_dtype_promotion("standard"):  # optax mixes integers and floats
+            layers, state = step(layers, state, *batch, key)
     return jax.tree.map(np.asarray, layers)
 
 

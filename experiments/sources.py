@@ -4,7 +4,7 @@
 
 A source is a scene, with its captures if there is a bank. For each, networks are trained on every
 set of other sources, and applied to other edits of it, each after one exporter or harmless history.
-With no source at all, novelty alone decides, for which nothing is trained. Objects that are pasted
+With no source, novelty alone decides, which needs no training. The objects that are pasted
 were pasted into other hosts in training, too, and none is cut out of another source. Edits are
 quick ones, of parts of the real hosts and of made ones of another seed. Novelty has the weight of
 the classifier of the package, which was chosen on all sources.
@@ -55,7 +55,7 @@ class SourcesArgs(Args):
 
 
 def subsets(sources: Sequence[str]) -> Iterator[frozenset[str]]:
-    """All sets of one or more sources, but not of all."""
+    """All sets of sources that contain one at least and lack one at least."""
     for count in range(1, len(sources)):
         yield from map(frozenset, itertools.combinations(sources, count))
 

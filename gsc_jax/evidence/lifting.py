@@ -141,7 +141,7 @@ class SparseEvidence(EvidenceOfViews):
 
 def view_evidence(view: View, mask: Array) -> Evidence:
     """Lift a mask (H, W) in [0, 1]: blending weight of N Gaussians, in total and inside of it."""
-    # In NumPy, if the mask is known: JAX would compile for each size of an image.
+    # In NumPy, unless JAX traces the mask: it would compile for each image size.
     numpy = jnp if isinstance(mask, Tracer) else np
     mask = numpy.asarray(mask, jnp.float32)
     total, tampered = accumulate(view, numpy.stack([numpy.ones_like(mask), mask], axis=-1)).T

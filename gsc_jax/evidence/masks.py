@@ -117,7 +117,7 @@ def pictures(
     features = jnp.stack([jnp.asarray(scored.labels, jnp.float32), scored.tamper], axis=1)
     rgb = colors(gaussians.sh, gaussians.means, camera.center)
     view = make_view(gaussians, camera, near=near)
-    # In NumPy from here, since JAX would compile for each size of an image.
+    # In NumPy from here: JAX would compile these steps for each image size.
     blended = composite_with_alpha(view, jnp.concatenate([features, rgb], axis=1))
     image, alpha = map(np.asarray, blended)
     share, score = _share(image[..., 0], alpha), _share(image[..., 1], alpha)

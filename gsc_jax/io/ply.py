@@ -229,7 +229,7 @@ def _check_header(path: Path, max_bytes: int | None) -> None:
         if words[:1] == [b"element"]:
             rows = int(words[-1])
             if not 0 <= rows <= size:
-                raise ValueError(f"its header promises {rows} rows in {size} bytes")
+                raise ValueError(f"cut short? its header promises {rows} rows in {size} bytes")
         elif words[:1] == [b"property"]:
             needed += rows * (BYTES_PER_LIST if b"list" in words[1:2] else number)
     check_allocation(path, needed, max_bytes)

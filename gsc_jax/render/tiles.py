@@ -30,8 +30,8 @@ MAX_INTERSECTIONS = 2**28
 """Intersections of splats and tiles in a view: more would fill the memory, and real scenes have a
 few per splat."""
 CPU_LOCKSTEPS, MIN_GROUPS = (128, 64, 32, 16), 8
-"""Tiles in a group on a CPU, whose weights for a chunk of splats fit into the L2 cache: the most of
-which there are so many groups, because a group is only done when its longest list ends."""
+"""Tiles in a group on a CPU: the first of these sizes that gives at least `MIN_GROUPS` groups. The
+weights of 128 tiles for a chunk of splats fit into the L2 cache; more groups stop earlier."""
 
 
 @jax.tree_util.register_dataclass

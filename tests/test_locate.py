@@ -282,7 +282,7 @@ def test_progress_and_stages_are_recorded():
     [
         ({"elsewhere": np.zeros((4, 4))}, "No camera has a mask"),
         ({"view_0": np.full((4, 4), 255)}, "not a probability"),
-        ({"view_0": np.full((4, 4), np.nan)}, "not a probability"),
+        ({"view_0": np.full((4, 4), np.nan)}, "not a probability.*NaN in 16 pixels"),
         ({"view_0": np.zeros((4, 4, 3))}, "one probability per pixel"),
         ({"view_0": np.zeros((1, 1))}, "at least 4 x 4 pixels"),
         ({"view_0": np.zeros((48, 32))}, "has 32 x 48 pixels, the view 48 x 32"),

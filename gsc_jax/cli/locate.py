@@ -1,5 +1,6 @@
 """`gsc-jax locate`: from files to a folder of results; all input is checked first."""
 
+import contextlib
 import dataclasses
 import hashlib
 import tempfile
@@ -13,7 +14,7 @@ import numpy as np
 from gsc_jax.cli import detector_choice, scene_input
 from gsc_jax.cli.config_file import read_config_file
 from gsc_jax.cli.options import Locate
-from gsc_jax.cli.outputs import planned_outputs, versions, write_report, write_results
+from gsc_jax.cli.outputs import jsonable, planned_outputs, versions, write_report, write_results
 from gsc_jax.cli.ownership import refuse_foreign, refuse_overlap
 from gsc_jax.cli.report.wording import Located
 from gsc_jax.cli.staging import BY_CAMERA, FILES, replacing, views_of, writing_to
@@ -24,6 +25,7 @@ from gsc_jax.evidence.storage import ArrayStore
 from gsc_jax.io.cameras import camera_files
 from gsc_jax.io.files import content_bytes, content_digest, memory_limit
 from gsc_jax.io.ply import PlyScene
+from gsc_jax.io.tables import read_table
 from gsc_jax.locate import locate
 from gsc_jax.scene import Camera, InputError
 
@@ -77,6 +79,10 @@ def read_inputs(
     usable = detector.select(cameras) if detector and options.views else cameras
     cameras = scene_input.choose_cameras(options, scene, usable, warnings)
     refuse_foreign(options.out, planned_outputs(cameras), report="result.json")
+    with contextlib.suppress(InputError, LookupError, TypeError):
+        before = read_table(options.out / "result.json", remedy="")["command"]["scene"]
+        if before != jsonable(options.scene):
+            warnings.append(f"{options.out}: the results of {before} that were there are replaced")
     return Inputs(
         options=options,
         estimator=estimator,

@@ -239,7 +239,7 @@ class Locate(SceneOptions):
       overview.png             a few views side by side
       render/, overlay/        renders, and renders with the mask
       tamper.ply               the scene, plus the property tamper
-      highlight.ply            tampered red, the rest grey
+      highlight.ply            tampered red (candidates blue), the rest grey
       labels.npy, tamper.npy   bool and score, by row of the scene
       masks/, scores/          final masks, and scores as 16-bit maps
       detector/                the detector's maps, 16 bits
@@ -248,7 +248,7 @@ class Locate(SceneOptions):
 
     Attributes:
         config: Options from the result.json of an earlier run (or its folder), or from a TOML or
-            JSON file as above. Command-line options override the file: --masks None unsets a
+            JSON file with options. Command-line options override the file: --masks None unsets a
             value, --no-all-views a switch. Paths are relative to the current folder.
         dry_run: Validate all input and print the resolved configuration. Writes nothing to --out.
         masks: Folder with a mask per camera: CAMERA.png.

@@ -57,11 +57,12 @@ def fit_to_view(probability: Any, camera: Camera) -> np.ndarray:
     from skimage.transform import resize
 
     output, size = _as_map(probability, camera), (camera.height, camera.width)
-    if not (np.isfinite(output).all() and output.min() >= 0 and output.max() <= 1):
+    if not (output.min() >= 0 and output.max() <= 1):
+        unknown = np.isnan(output).sum()
+        found = f"{output.min():.4g} to {output.max():.4g}, expected 0 to 1. Apply its sigmoid or"
         raise InputError(
             f"The detector's output for view {camera.name!r} is not a probability: its values are "
-            f"{output.min():.4g} to {output.max():.4g}, expected 0 to 1. Apply its sigmoid or "
-            "divide by 255."
+            + (f"NaN in {unknown:,} pixels." if unknown else f"{found} divide by 255.")
         )
     if output.shape == size:
         return output

@@ -9,7 +9,9 @@ import numpy as np
 from gsc_jax.evidence.lifting import EvidenceOfViews
 from gsc_jax.evidence.observation import Observation
 from gsc_jax.render.projection import NEAR
+from gsc_jax.scene import Camera
 from gsc_jax.scene.gaussians import filled_up
+from gsc_jax.scene.parallel import bounded_map, view_threads
 from gsc_jax.splat import render
 
 CHECKED = 6
@@ -20,6 +22,8 @@ MIN_ACCURACY = 0.98
 MIN_CORRELATION = 0.1
 """Correlation below which the masks of other views say nothing about those of a view: that of false
 blobs is lower, that of the mixture of all failures higher."""
+STRIDE = 2
+"""Pixels from one to the next that is compared, along rows and columns."""
 QUANTILES = 64
 """Thresholds that are tried."""
 
@@ -62,12 +66,17 @@ def followed_property(observation: Observation, near: float) -> str | None:
     chosen = partly[:: max(1, -(-len(partly) // CHECKED))]
     if len(chosen) < 2:
         return None
-    flagged = np.concatenate([np.ravel(masks[camera.name]) for camera in chosen]).astype(bool)
-    images = [properties(np.asarray(render(gaussians, c, near=near)[0])) for c in chosen]
-    accuracies = {
-        name: separation(np.concatenate([image[name].ravel() for image in images]), flagged)
-        for name in images[0]
-    }
+
+    def compared(camera: Camera) -> dict[str, np.ndarray]:
+        maps = properties(np.asarray(render(gaussians, camera, near=near)[0]))
+        maps["mask"] = masks[camera.name].astype(bool)
+        return {name: pixels[::STRIDE, ::STRIDE].ravel() for name, pixels in maps.items()}
+
+    with view_threads() as pool:
+        views = list(bounded_map(pool, compared, chosen))
+    pixels = {name: np.concatenate([view[name] for view in views]) for name in views[0]}
+    flagged = pixels.pop("mask")
+    accuracies = {name: separation(values, flagged) for name, values in pixels.items()}
     best = max(accuracies, key=accuracies.__getitem__)
     return best if accuracies[best] >= MIN_ACCURACY else None
 
@@ -87,12 +96,11 @@ def agreement(evidence: EvidenceOfViews) -> float | None:
     other views flag, weighted by its weight in the view. The median of the absolute correlations of
     up to four times `CHECKED` views, since inverted masks agree, too; None if hardly a view varies.
     """
-    count = evidence.shape[0]
+    count, found = evidence.shape[0], []
     total, tampered = np.zeros((2, evidence.shape[1]))
     for view in evidence.views():
         total += np.asarray(view.total)
         tampered += np.asarray(view.tampered)
-    found = []
     for index in range(0, count, max(1, count // (4 * CHECKED))):
         view = evidence.view(index)
         weight, own = np.asarray(view.total, float), np.asarray(view.tampered, float)

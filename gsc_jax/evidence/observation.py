@@ -20,6 +20,7 @@ from gsc_jax.evidence.storage import ArrayStore, ByView
 from gsc_jax.render.projection import NEAR, project, project_centers
 from gsc_jax.render.tiles import View, bin_view
 from gsc_jax.scene import Camera, Gaussians, InputError
+from gsc_jax.scene.camera import check_camera
 from gsc_jax.scene.gaussians import filled_up
 from gsc_jax.scene.parallel import bounded_map, view_threads
 from gsc_jax.scene.pytree import short_repr
@@ -145,6 +146,8 @@ def check_cameras(cameras: Camera | Iterable[Camera]) -> list[Camera]:
     cameras = [cameras] if isinstance(cameras, Camera) else list(cameras)
     if others := {type(camera).__name__ for camera in cameras if not isinstance(camera, Camera)}:
         raise InputError(f"cameras must be Camera objects, got {', '.join(sorted(others))}")
+    for camera in cameras:
+        check_camera(camera)
     names = [camera.name for camera in cameras]
     if not names:
         raise InputError("no cameras: expected at least one view of the scene")

@@ -25,6 +25,9 @@ MAX_OUTSIDE_RATE = 0.05
 """Rate of marks outside of the regions above which the scene itself produces them."""
 MAX_NEGATIVE_RATE = 0.005
 """The same for w < 0; scenes that follow w >= 0 only in part have a rate of 0.03."""
+MIN_SIZE_RATIO = 0.7
+"""Least size of w where it is negative, relative to the others of a region: at most 0.49 in a scene
+that was turned after training, so that w passes 0, and 1.02 or more where objects were pasted."""
 MIN_RATE = 1e-3
 """Floor of the estimated rates, so that no score reaches 1."""
 UNIT_TOLERANCE = 1e-4
@@ -124,11 +127,16 @@ def sh_degree(gaussians: Gaussians, neighbours: np.ndarray) -> Trace:
 def quaternion_convention(gaussians: Gaussians, neighbours: np.ndarray) -> Trace:
     """Detect quaternions of another length or sign convention than those of most Gaussians."""
     quats = np.asarray(gaussians.quats, np.float64)
-    unit = np.abs(np.linalg.norm(quats, axis=1) - 1) < UNIT_TOLERANCE
+    norms = np.linalg.norm(quats, axis=1)
+    unit = np.abs(norms - 1) < UNIT_TOLERANCE
     lengths = region_scores(unit ^ (unit.sum() > 0.5 * len(unit)), neighbours)
     # Half of the quaternions of a part without the sign convention satisfy it by chance.
     negative = quats[:, 0] < 0
     signs = region_scores(negative, neighbours, min_share=0.3, max_outside=MAX_NEGATIVE_RATE)
+    inside, size = signs > 0.5, np.abs(quats[:, 0]) / np.where(norms > 0, norms, 1)
+    below, above = size[inside & negative], size[inside & ~negative]
+    if len(below) and len(above) and np.median(below) < MIN_SIZE_RATIO * np.median(above):
+        signs = np.zeros_like(signs)
     found = "have quaternions of another length or sign convention than the others"
     absent = "The quaternions follow one convention."
     return make_trace("quaternion-convention", np.maximum(lengths, signs), found, absent)

@@ -17,6 +17,7 @@ import numpy as np
 from jax.core import Tracer
 
 from gsc_jax.scene import Array, Camera, Gaussians, pytree
+from gsc_jax.scene.camera import check_camera
 from gsc_jax.scene.gaussians import IDENTITY_QUATERNION, MAX_LOG_SCALE, check_shapes
 
 NEAR = 0.2
@@ -59,6 +60,7 @@ def project(gaussians: Gaussians, camera: Camera, *, near: float = NEAR) -> Spla
     near plane, in world units. Wrong shapes and a near plane that is not positive raise ValueError.
     """
     check_shapes(gaussians)
+    check_camera(camera)
     if not isinstance(near, Tracer) and not near > 0:
         raise ValueError(f"near must be positive, got {near}")
     parameters = gaussians.means, gaussians.log_scales, gaussians.quats, gaussians.logit_opacities

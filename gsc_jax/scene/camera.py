@@ -4,6 +4,7 @@ import dataclasses
 
 import jax
 import numpy as np
+from jax.core import Tracer
 
 from gsc_jax.scene.errors import in_range
 from gsc_jax.scene.gaussians import Array
@@ -57,6 +58,27 @@ class Camera:
         zoom = np.array([width / self.width, height / self.height, 1.0], np.float32)
         K = np.asarray(self.K) * zoom[:, None]
         return dataclasses.replace(self, K=K, width=width, height=height)
+
+
+def check_camera(camera: Camera) -> None:
+    """Raise ValueError if the matrices of a camera have another shape, or are none of a camera.
+
+    Trees of JAX may hold anything, so that a camera cannot check them when it is made.
+    """
+    for name, side, last in (("viewmat", 4, (0, 0, 0, 1)), ("K", 3, (0, 0, 1))):
+        matrix = getattr(camera, name)
+        if (shape := getattr(matrix, "shape", None)) != (side, side):
+            found = f"{type(matrix).__name__}{f' of shape {shape}' if shape else ''}"
+            raise ValueError(
+                f"camera {camera.name!r}: {name} must be an array ({side}, {side}), got {found}"
+            )
+        if isinstance(matrix, Tracer):
+            continue
+        if not np.isfinite(matrix).all() or not np.allclose(matrix[-1], last, atol=1e-4):
+            raise ValueError(
+                f"camera {camera.name!r}: {name} must be finite with the last row {last}, got "
+                f"{np.asarray(matrix).tolist()}"
+            )
 
 
 def intrinsics(focal: float, width: int, height: int) -> np.ndarray:

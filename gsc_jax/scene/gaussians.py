@@ -116,6 +116,8 @@ def filled_up(gaussians: Gaussians) -> Gaussians:
 
 def check_shapes(gaussians: Gaussians) -> None:
     """Raise ValueError if the shapes of the parameters do not belong together."""
+    if not isinstance(gaussians, Gaussians):
+        raise TypeError(f"expected Gaussians, as of load_ply, got {type(gaussians).__name__}")
     count, degrees = len(gaussians), [(degree + 1) ** 2 for degree in range(4)]
     expected = {
         "means": [(count, 3)],

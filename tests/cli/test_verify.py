@@ -22,12 +22,18 @@ def test_files_that_changed_or_are_missing_are_named(found):
     assert answer.code == 0
     report = json.loads((found / "result.json").read_text())
     assert f"{len(report['outputs']) - 1} files are as they were written" in answer.out
-    assert "1 of 1 are as they were read" in answer.out
+    assert "inputs   1 are as they were read, 0 were not found" in answer.out
     labels = (found / "labels.npy").read_bytes()
     (found / "labels.npy").write_bytes(labels[:-1] + b"x")
     assert "labels.npy: has changed" in refused("verify", found)
     (found / "labels.npy").unlink()
-    assert "labels.npy: is missing" in refused("verify", found)
+    overview = (found / "overview.png").read_bytes()
+    (found / "overview.png").write_bytes(overview + b"x")
+    both = refused("verify", found)
+    assert "labels.npy: is missing" in both
+    assert "1 more: " in both
+    assert "overview.png: has changed" in both
+    (found / "overview.png").write_bytes(overview)
     (found / "labels.npy").write_bytes(labels)
     scene = found.parent / "scene.ply"
     scene.write_bytes(scene.read_bytes()[:-1] + b"x")

@@ -19,6 +19,7 @@ from forensics_cases import (
 from garden import make_garden
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 from strategies import random_scene, with_row
 
 from gsc_jax.benchmark.scenes import make_room
@@ -77,6 +78,21 @@ def test_quaternions_of_another_sign_are_marked():
     # Half of the edit follows the convention by chance, which its border cannot reveal.
     edited = changed(positive, PART, quats=-unit[PART])
     assert_matches(detected(quaternion_convention, edited), LABELS, recall=0.8)
+
+
+@needs_data
+@pytest.mark.parametrize("seed", [0, 41, 45, 51, 54])
+def test_a_scene_that_was_turned_after_training_has_no_trace(seed):
+    gaussians = load_ply(DATA / "scenes" / "seal.ply")
+    turn = Rotation.random(rng=seed) * Rotation.from_rotvec([np.deg2rad(75), 0, 0])
+    quats = np.asarray(gaussians.quats, np.float64)
+    turned = turn * Rotation.from_quat(quats, scalar_first=True)
+    # Products of quaternions keep their sign, as in editors; SciPy's own choice is the positive.
+    w, v = turn.as_quat(scalar_first=True)[0], turn.as_quat(scalar_first=True)[1:]
+    negative = w * quats[:, 0] - quats[:, 1:] @ v < 0
+    unit = turned.as_quat(canonical=True, scalar_first=True)
+    edited = dataclasses.replace(gaussians, quats=np.where(negative[:, None], -unit, unit))
+    assert not detected(quaternion_convention, edited).found
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 13, 40])

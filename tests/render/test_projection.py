@@ -156,3 +156,25 @@ def test_projected_centers_agree_with_the_reference():
     front = expected.in_front
     np.testing.assert_allclose(means[front], expected.means[front], rtol=1e-5, atol=1e-4)
     np.testing.assert_allclose(depths[front], expected.depths[front], rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"viewmat": np.eye(4)[:3]}, r"viewmat must be an array \(4, 4\), got ndarray of shape"),
+        ({"viewmat": np.eye(4).tolist()}, r"viewmat must be an array \(4, 4\), got list"),
+        ({"viewmat": np.full((4, 4), np.nan)}, "viewmat must be finite"),
+        ({"viewmat": np.tri(4)}, "last row"),
+        ({"K": [20.0, 20.0, 8.0, 8.0]}, r"K must be an array \(3, 3\), got list"),
+        ({"K": np.full((3, 3), np.inf)}, "K must be finite"),
+    ],
+)
+def test_matrices_that_are_none_of_a_camera_are_refused(changes, message):
+    broken = dataclasses.replace(camera(16, 16), **changes)
+    with pytest.raises(ValueError, match=message):
+        project(blobs([[0, 0, 3]]), broken)
+
+
+def test_what_is_no_scene_is_refused_by_its_type():
+    with pytest.raises(TypeError, match="expected Gaussians, as of load_ply, got str"):
+        project("scene.ply", camera(16, 16))  # pyright: ignore[reportArgumentType]

@@ -2,7 +2,7 @@
 
 The two groups differ in shape as well as in colour: tampered is filled, authentic a dashed line. A
 chart is an SVG of matplotlib in the colours of a light and of a dark scheme, of which the page
-selects one. Colours C0 (tampered) and C1 (authentic) repeat those of report.css.
+selects one. Colours C0 (tampered, or candidates) and C1 (authentic) repeat those of report.css.
 """
 
 import io
@@ -11,11 +11,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from gsc_jax.cli.report.wording import are_candidates
 from gsc_jax.locate import Result
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+CANDIDATE = "#1f6feb"
 LIGHT = INK, MUTED, TAMPERED, AUTHENTIC = "#1c1b1a", "#5c5954", "#b3004b", "#22588f"
 DARK = "#ebe8e3", "#aba69e", "#ff7fae", "#85b8ee"
 STYLE: dict[Any, Any] = {
@@ -53,7 +55,9 @@ def score_histogram(result: Result) -> Chart:
         figure = Figure(figsize=(4.4, 3.0), layout="constrained")
         _draw(figure.subplots(), scores, labels, threshold)
         figure.savefig(file, format="svg", transparent=True, metadata={"Date": None})
-    light = dark = file.getvalue()
+    noun = "candidates" if are_candidates(result.verdict) else "labelled as tampered"
+    light = file.getvalue()
+    light = dark = light.replace(TAMPERED, CANDIDATE) if noun == "candidates" else light
     for one, other in zip(LIGHT, DARK, strict=True):
         dark = dark.replace(one, other)
     uris = ("data:image/svg+xml;base64," + b64encode(x.encode()).decode() for x in (light, dark))
@@ -61,7 +65,7 @@ def score_histogram(result: Result) -> Chart:
     hidden = int(result.labels.sum() - labels.sum())
     text = (
         f"{above:,} of {len(scores):,} visible Gaussians score above the threshold of "
-        f"{threshold:g}; {int(labels.sum()):,} of them are labelled as tampered"
+        f"{threshold:g}; {int(labels.sum()):,} of them are {noun}"
         f"{f', and {hidden:,} that no view shows' if hidden else ''}. Counts are on a logarithmic "
         "scale."
     )
@@ -74,7 +78,7 @@ def _draw(axes: "Axes", scores: np.ndarray, labels: np.ndarray, threshold: float
     axes.stairs(tampered, edges, fill=True, color="C0", alpha=0.35, label="labelled")
     axes.stairs(tampered, edges, color="C0", linewidth=1.2)
     axes.stairs(authentic, edges, color="C1", linestyle="--", label="others")
-    axes.legend(loc="upper center", frameon=False)
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.08), ncols=2, frameon=False)
     axes.axvline(threshold, color="0.5")
     axes.annotate("threshold", (threshold, 1.03), xycoords=("data", "axes fraction"), ha="center")
     axes.set_yscale("symlog", linthresh=1)

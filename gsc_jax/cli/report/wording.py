@@ -88,8 +88,16 @@ def headline(verdict: float | None, tampered: int) -> str:
     return "No Gaussian is labelled as tampered."
 
 
-def meaning(verdict: float, *, masks: bool) -> str:
-    """How often authentic and edited test scenes have this outcome, with masks or without."""
+def meaning(verdict: float, *, masks: bool, traced: bool = False) -> str:
+    """How often authentic and edited test scenes have this outcome, with masks or without.
+
+    No test counts traces, on which a scene probability without masks rests where any is found.
+    """
+    if traced and not masks:
+        return (
+            "It rests on what was found in the stored numbers: editing a part of a file leaves "
+            "that, and any other program that rewrites only a part may leave it, too."
+        )
     found = outcome(verdict)
     assert found is not None
     counts, totals = COUNTS[masks][found], list(map(sum, zip(*COUNTS[masks].values(), strict=True)))
@@ -156,11 +164,12 @@ def summary(located: Located, out: Path) -> list[str]:
     """Summarise a run, whose results are in the folder `out`, in a few lines for the terminal."""
     result, verdict, findings = located.result, located.result.verdict, [lead(located)]
     if verdict is not None:
-        contradiction, masks = conflict(result), bool(result.probabilities)
+        contradiction = conflict(result)
+        known = {"masks": bool(result.probabilities), "traced": bool(found_traces(result))}
         findings = [
             *([contradiction] if contradiction else []),
             f"{headline(verdict, int(result.labels.sum()))} {findings[0]}",
-            f"edited   {percent(verdict)} (scene probability). {meaning(verdict, masks=masks)}",
+            f"edited   {percent(verdict)} (scene probability). {meaning(verdict, **known)}",
         ]
     seconds = {name: stage["seconds"] for name, stage in result.stages.items()}
     slowest = sorted(seconds, key=seconds.__getitem__, reverse=True)[:3]

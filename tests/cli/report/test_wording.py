@@ -68,6 +68,12 @@ def test_an_outcome_of_most_scenes_is_said_to_say_little(verdict, masks, weak):
     assert " of 27 authentic and " in text or masks
 
 
+def test_a_trace_without_masks_is_said_to_decide():
+    assert "stored numbers" in wording.meaning(0.99, masks=False, traced=True)
+    for masks, traced in ((True, True), (False, False)):
+        assert "In tests" in wording.meaning(0.99, masks=masks, traced=traced)
+
+
 def test_numbers_are_rounded_to_bounds():
     percents = [wording.percent(p) for p in (0, 0.009, 0.5, 0.991, 1)]
     assert percents == ["<1%", "<1%", "50%", ">99%", ">99%"]

@@ -71,16 +71,11 @@ def orbit_cameras(
     focal = 0.5 * width / np.tan(0.5 * np.radians(fov_degrees))
     distance = DISTANCE_MARGIN * radius / np.sin(np.arctan(0.5 * min(size) / focal))
     up = up / np.linalg.norm(up)
-    eyes = [center + distance * direction for direction in _directions(n, up, seed)]
+    K, eyes = intrinsics(focal, width, height), center + distance * _directions(n, up, seed)
+    poses = [look_at(eye, center, up) for eye in eyes]
     return [
-        Camera(
-            viewmat=look_at(eye, center, up),
-            K=intrinsics(focal, width, height),
-            width=width,
-            height=height,
-            name=f"orbit_{index:03d}",
-        )
-        for index, eye in enumerate(eyes)
+        Camera(viewmat=pose, K=K, width=width, height=height, name=f"orbit_{index:03d}")
+        for index, pose in enumerate(poses)
     ]
 
 

@@ -43,7 +43,7 @@ class FolderDetector:
         `memory_limit` for the default.
         """
         self.path = Path(path)
-        self._max_bytes = max_bytes
+        self._limit = max_bytes
         self._files = _image_files(self.path)
         self._index: dict[tuple[str, str], list[str]] = defaultdict(list)
         for file in self._files:
@@ -75,16 +75,13 @@ class FolderDetector:
 
         InputError if the camera has no mask, or the file is not a mask or has another aspect.
         """
-        match = self._best_match(camera.name)
-        if match is None:
+        if (match := self._best_match(camera.name)) is None:
             raise InputError(
                 f"{self.path}: no mask for camera {camera.name!r}, expected "
                 f"{camera.name + '.png'!r}"
             )
         path = self.path / match[1]
-        probability = masks.read_probability(
-            path, zero_one=self.zero_one, max_bytes=self._max_bytes
-        )
+        probability = masks.read_probability(path, zero_one=self.zero_one, max_bytes=self._limit)
         try:
             return same_view(probability, camera)
         except InputError as error:
@@ -100,7 +97,7 @@ class FolderDetector:
         largest = 0
         for file in self._files:
             with contextlib.suppress(InputError):  # `__call__` reports it
-                grey = masks.read_grey(self.path / file, max_bytes=self._max_bytes)
+                grey = masks.read_grey(self.path / file, max_bytes=self._limit)
                 largest = max(largest, int(grey.max()) if grey.dtype == np.uint8 else 0)
             if largest > 1:
                 break

@@ -30,7 +30,6 @@ from gsc_jax.detectors.specs import OnnxSpec
 from gsc_jax.scene import InputError
 
 FILES = ("encoder.onnx", "decoder.onnx")
-
 SIDE_PIXELS = 1024
 """Input size of SAM, for an encoder with a free size."""
 PROMPTS_PER_BATCH = 4

@@ -20,10 +20,8 @@ STARTS = 16
 """Random starts of k-means; a test compares the result with all partitions of small sets."""
 MAX_ITERATIONS = 100
 """Bound of Lloyd's iterations, which converge in a few; a safeguard against rounding cycles."""
-
 MIN_GAIN = 1e-6
 """Smallest gain of cosine per mask by a second group; above the rounding of float32 embeddings."""
-
 SATURATED_LOGIT = 80.0
 """Logits are clipped to this magnitude, at which a float32 sigmoid is 0 or 1, to interpolate."""
 

@@ -34,8 +34,6 @@ MODELS = {
 """Number of parameters of the camera models, in the order of their numbers in binary files."""
 BYTES_PER_BYTE = {True: 2, False: 8}
 """Memory per byte of a binary file, and of a text: lines, and the images of the shortest lines."""
-
-
 _Intrinsics = tuple[str, tuple[int, int], tuple[float, ...]]
 """Model, width and height, and parameters."""
 _Image = tuple[str, int, tuple[float, ...]]

@@ -79,12 +79,11 @@ class GSChecker(Estimator):
         attribute, group_sizes = self._optimise(observation, r, F)  # eq. 7 to 12
         evidence = observation.evidence
         finding = unanimous(evidence) or self._decide(attribute, group_sizes, evidence.seen)
-        unused = f"The prior was not used: {self.name} uses masks only."
+        warnings = list(finding.warnings)
+        if prior is not None:
+            warnings.append(f"The prior was not used: {self.name} uses masks only.")
         return dataclasses.replace(
-            finding,
-            attribute=attribute,
-            group_sizes=group_sizes,
-            warnings=[*finding.warnings, *([] if prior is None else [unused])],
+            finding, attribute=attribute, group_sizes=group_sizes, warnings=warnings
         )
 
     def initial_attribute(self, observation: Observation) -> np.ndarray:

@@ -119,7 +119,6 @@ class ByView(Mapping[str, np.ndarray]):
         self._read = read
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """The array of a view."""
         if name not in self._names:
             raise KeyError(name)
         return self._read(name)
@@ -133,5 +132,4 @@ class ByView(Mapping[str, np.ndarray]):
         return iter(self._names)
 
     def __len__(self) -> int:
-        """Number of views."""
         return len(self._names)

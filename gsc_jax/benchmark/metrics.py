@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import scipy  # whose submodules load when they are first used
 
 from gsc_jax.evidence.masks import rendered_share
 from gsc_jax.render.projection import NEAR
@@ -94,8 +95,6 @@ def auc(scores: Array, truth: Array) -> float:
     This is the area under the ROC curve, Mann and Whitney's U by pair; NaN if all entries are
     of one kind. Other shapes than those of the truth, and NaN scores, raise ValueError.
     """
-    from scipy.stats import rankdata
-
     scores, tampered = np.ravel(scores), np.ravel(_binary(truth))
     if scores.shape != tampered.shape:
         raise ValueError(f"{scores.size} scores, but {tampered.size} truths")
@@ -103,7 +102,7 @@ def auc(scores: Array, truth: Array) -> float:
         raise ValueError(f"{np.isnan(scores).sum()} of {scores.size} scores are NaN, expected none")
     count = int(tampered.sum())
     pairs = count * (tampered.size - count)
-    wins = rankdata(scores)[tampered].sum() - count * (count + 1) / 2
+    wins = scipy.stats.rankdata(scores)[tampered].sum() - count * (count + 1) / 2
     return float(wins / pairs) if pairs else float("nan")
 
 

@@ -12,6 +12,7 @@ import dataclasses
 from collections.abc import Mapping
 
 import numpy as np
+import scipy  # whose submodules load when they are first used
 from scipy.spatial import KDTree
 from scipy.special import expit
 
@@ -124,14 +125,12 @@ def _probability_map(
     region: np.ndarray, failures: Failures, rng: np.random.Generator
 ) -> np.ndarray:
     """Probability map of a view in which this region is flagged, blobs and rough edges added."""
-    from scipy.ndimage import gaussian_filter
-
     distance = _signed_distance(region)
     for _ in range(rng.poisson(failures.blobs)):
         distance = np.maximum(distance, _blob(region.shape, failures.blob_size, rng))
     if failures.boundary > 0:
         length = 3 * failures.boundary
-        noise = gaussian_filter(rng.normal(size=region.shape), length, mode="wrap")
+        noise = scipy.ndimage.gaussian_filter(rng.normal(size=region.shape), length, mode="wrap")
         # Averaging over an area of 4 pi length^2 pixels divides the variance by it.
         distance = distance + failures.boundary * (noise * np.sqrt(4 * np.pi) * length)
     return expit(distance / failures.softness) if failures.softness else (distance > 0) * 1.0
@@ -139,11 +138,10 @@ def _probability_map(
 
 def _signed_distance(region: np.ndarray) -> np.ndarray:
     """Distance to the edge of a region in pixels, positive inside; the diagonal without edge."""
-    from scipy.ndimage import distance_transform_edt
-
     if region.all() or not region.any():
         return np.where(region, 1.0, -1.0) * np.hypot(*region.shape)
-    inside, outside = (np.asarray(distance_transform_edt(side)) for side in (region, ~region))
+    distance = scipy.ndimage.distance_transform_edt
+    inside, outside = (np.asarray(distance(side)) for side in (region, ~region))
     return np.where(region, inside - 0.5, 0.5 - outside)
 
 

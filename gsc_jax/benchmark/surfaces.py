@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
+import scipy  # whose submodules load when they are first used
 from scipy.spatial.transform import Rotation
 
 from gsc_jax.render.spherical_harmonics import Y0
@@ -168,14 +169,12 @@ def textured(texture: Texture, uv: np.ndarray) -> np.ndarray:
 
     The texture is averaged over blocks, so that it does not alias at evenly spread coordinates.
     """
-    from scipy.ndimage import map_coordinates
-
     rows, columns = _image(texture.image).shape[:2]
     texels = np.sqrt(np.prod(texture.repeat) * rows * columns / len(uv))
     image = _image(texture.image, int(np.clip(round(texels), 1, min(rows, columns) // 8)))
     column, row = (uv * texture.repeat * image.shape[1::-1] - 0.5).T
     channels = [
-        map_coordinates(channel, [row, column], order=1, mode="grid-wrap")
+        scipy.ndimage.map_coordinates(channel, [row, column], order=1, mode="grid-wrap")
         for channel in np.moveaxis(image, -1, 0)
     ]
     rgb = np.stack(channels, axis=-1)

@@ -89,19 +89,15 @@ def _by_view(results: Results, masks: Path, limit: int, warnings: list[str]) -> 
     """
     views, truth = results.cameras, FolderDetector(masks, max_bytes=limit)
     chosen = truth.select(views)
-    if len(chosen) < len(views):
-        warnings.append(
-            f"{len(views) - len(chosen)} of {len(views)} views have no mask in {truth.path}"
-        )
+    if missing := len(views) - len(chosen):
+        warnings.append(f"{missing} of {len(views)} views have no mask in {truth.path}")
     true = {camera.name: _true_mask(truth, camera, warnings) for camera in chosen}
     warnings += truth.warnings
     found = {camera.name: _read_mask(results, "masks", camera, limit) for camera in chosen}
     judged = [c for c in chosen if _mask_path(results, "detector", c).exists()]
     detector = {camera.name: _read_mask(results, "detector", camera, limit) for camera in judged}
-    scores = {
-        "truth": {name: float(mask.mean()) for name, mask in true.items()},
-        "found": _scores(found, true),
-    }
+    shares = {name: float(mask.mean()) for name, mask in true.items()}
+    scores = {"truth": shares, "found": _scores(found, true)}
     if not detector:
         return scores
     where_judged = _scores({name: found[name] for name in detector}, true)

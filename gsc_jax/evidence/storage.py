@@ -115,13 +115,11 @@ class ByView(Mapping[str, np.ndarray]):
     """A read-only mapping from the name of a view to an array that is read when it is asked for."""
 
     def __init__(self, names: tuple[str, ...], read: Callable[[str], np.ndarray]) -> None:
-        self._names = dict.fromkeys(names)
+        self._names = {name: name for name in names}
         self._read = read
 
     def __getitem__(self, name: str) -> np.ndarray:
-        if name not in self._names:
-            raise KeyError(name)
-        return self._read(name)
+        return self._read(self._names[name])
 
     def __reduce__(self) -> tuple[type, tuple[dict[str, np.ndarray]]]:
         """Pickled as a dictionary, since files may not last."""

@@ -73,9 +73,7 @@ class Hole:
         The sum of the mean height around (in units of `MAX_HEIGHT`, at most 1), half of the mean
         height within, and the share of the sectors without ground.
         """
-        around, within = (
-            np.minimum(np.abs(x[:, 2]) / MAX_HEIGHT, 1) for x in (self.ring, self.rows)
-        )
+        around, within = (np.minimum(abs(x[:, 2]) / MAX_HEIGHT, 1) for x in (self.ring, self.rows))
         radii, angles = _polar(self.ring)
         near = radii < MAX_SOURCE_DISTANCE * _edge_radius(self.rows, angles)
         if not near.any():

@@ -82,9 +82,8 @@ def paste_object(
         cameras = visibility.cameras[::2]
         shares = regions.visible_shares(pasted(scale), cameras, labels, near=visibility.near)
         scale *= np.clip(np.sqrt(size / max(regions.median_visible_share(shares), 1e-6)), 0.5, 2)
-    count = f"{len(donor):,} Gaussians"
-    description = f"an object of {count} stood into it, turned by {angle:.0f} degrees"
-    return regions.ProposedEdit(pasted(scale), labels, description)
+    what = f"an object of {len(donor):,} Gaussians stood into it, turned by {angle:.0f} degrees"
+    return regions.ProposedEdit(pasted(scale), labels, what)
 
 
 def _best_place(
@@ -111,9 +110,8 @@ def placement_cost(
 ) -> tuple[float, np.ndarray]:
     """Cost of placing an object of this radius and height at one of the points (M, 3).
 
-    Returns:
-        The cost, 0 for level ground on all sides with nothing above, about 1 and more for walls,
-        edges and cluttered places; and the point of the ground at the place, shape (3,).
+    It is 0 for level ground on all sides with nothing above, about 1 and more for walls, edges and
+    cluttered places. Also returns the point of the ground at the place, shape (3,).
     """
     offsets = points - place
     levels = offsets @ up

@@ -24,12 +24,9 @@ from gsc_jax.scene import InputError
 def judge(options: Locate, report_above: float | None) -> Row:
     """Judge a scene; an error becomes the columns `error_class` and `error` of the row.
 
-    Args:
-        options: Those of `gsc-jax locate`; `out` is the folder of the report.
-        report_above: Scene probability from which that folder is written; None for never.
-
-    Returns:
-        The columns of the row that the content of the scene determines, with seconds and memory.
+    The row has the columns that the content of the scene determines, with seconds and memory. The
+    options are those of `gsc-jax locate`; their folder `out` is written from the scene probability
+    `report_above` on, and never if that is None.
     """
     with contextlib.suppress(OSError):  # Linux: the peak of this scene and not of earlier ones
         Path("/proc/self/clear_refs").write_text("5", "ascii")

@@ -43,10 +43,8 @@ class Ledger:
     """Actor that grants each content to one scene, and counts how often its judging has begun.
 
     One for the whole scan, so that a content is computed once wherever its copies are. It counts
-    attempts that no worker has survived, such as those on a node that disappeared.
-
-    Args:
-        finished: Ids of finished scenes by key, of an earlier scan, the first one for each.
+    attempts that no worker has survived, such as those on a node that disappeared. `finished` are
+    the ids of finished scenes by key, of an earlier scan, the first one for each.
     """
 
     def __init__(self, finished: Mapping[str, list[str]]) -> None:
@@ -73,10 +71,7 @@ class Ledger:
 class SceneWorker:
     """Callable class for `ray.data.Dataset.map`: an entry of a manifest to the row of its scene.
 
-    Args:
-        settings: Those of the scan.
-        configuration: Their digest.
-        ledger: Handle of the actor of the `Ledger` of the scan.
+    `configuration` is the digest of the settings, and `ledger` the handle of the actor of the scan.
     """
 
     def __init__(self, settings: ScanSettings, configuration: str, ledger: Any) -> None:

@@ -38,15 +38,11 @@ def forged_region(
 ) -> tuple[np.ndarray, dict[str, int]]:
     """Probability of tampering from the masks of many prompts, (side, side) float32, and counts.
 
+    The masks are logits, positive inside, shape (P, h, w), with predicted qualities (P,), and the
+    embeddings of the image have shape (C, H, W). The seed is that of the starts of k-means.
+
     The probability is 0 if no mask is usable. The counts are of "unusable" predictions, and 1 or 0
     for "one_source", an image of one source.
-
-    Args:
-        logits: Masks, positive inside, shape (P, h, w).
-        confidences: Predicted quality of each mask, shape (P,).
-        embeddings: Embeddings of the image, shape (C, H, W).
-        side: Pixels per side of the result.
-        seed: Seed of the starts of k-means.
     """
     directions = mask_directions(logits, embeddings, side=side)
     usable = np.flatnonzero(np.isfinite(confidences) & np.isfinite(directions).all(axis=1))

@@ -42,17 +42,10 @@ class Detector(Protocol):
 
 
 def fit_to_view(probability: Any, camera: Camera) -> np.ndarray:
-    """Resize a probability map to a view.
+    """Resize a probability map to a view, (H, W) float32, for one threshold, strictly above 0.5.
 
-    Args:
-        probability: Shape (h, w), possibly with further axes of length 1; boolean or in [0, 1].
-        camera: The view.
-
-    Returns:
-        Shape (H, W), float32; to be thresholded once, strictly above 0.5.
-
-    Raises:
-        InputError: if the output is no map of probabilities.
+    It has shape (h, w), possibly with further axes of length 1, and is boolean or in [0, 1]; an
+    output that is no map of probabilities raises InputError.
     """
     from skimage.transform import resize
 

@@ -50,14 +50,11 @@ def observe_until_stable(
     prior: Prior | None,
     monitor: Monitor,
 ) -> tuple[Observation, Finding, EarlyStopping]:
-    """Observe growing batches of views until the labels are stable.
+    """Observe growing batches of views until labels change by less than the estimator's tolerance.
 
-    Args:
-        observe: Observes views, of which it keeps what it did before (`observe` with a store).
-        cameras: Cameras for all of which the detector has an output.
-        estimator: Its `tolerance` is the change of labels below which no more views are added.
-        prior: Probability per Gaussian from another source.
-        monitor: Records the time of the estimates and the progress over views.
+    The function keeps what it observed before, as the one of `observation` does with a store, and
+    the detector has an output for all cameras. The monitor records the time of the estimates and
+    the progress over views.
     """
     order = [cameras[k] for k in spread(len(cameras))]
     changes, before = [], None

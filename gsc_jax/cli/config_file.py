@@ -51,12 +51,11 @@ class ConfigFile:
         """The file without what depends on its method, if that is another one."""
         if method == self.method:
             return self
-        command = {name: self.command[name] for name in self.command if name not in METHOD_OPTIONS}
+        command = {k: v for k, v in self.command.items() if k not in METHOD_OPTIONS}
+        command["method"] = method
         shared = {name: getattr(self.estimator, name) for name in SHARED_FIELDS}
         return ConfigFile(
-            method=method,
-            command={**command, "method": method},
-            estimator=replaced(METHODS[method], shared),
+            method=method, command=command, estimator=replaced(METHODS[method], shared)
         )
 
 

@@ -107,8 +107,7 @@ def _write(
     write_scene(folder, edited.gaussians, cameras, edited.labels)
     write_views(folder / "truth", dict(zip(names, truth, strict=True)), write_mask)
     if options.masks != "none":
-        failures = REGIMES[options.masks]
-        decoy = None
+        failures, decoy = REGIMES[options.masks], None
         if failures.decoy:
             with naming(options.scene, remedy="choose --masks clean"):
                 labels = decoy_labels(edited.gaussians, edited.labels, seed=options.seed)

@@ -92,23 +92,18 @@ class OnnxSpec:
             raise InputError(one_line(error, where, table, known=known)) from error
 
 
-IMAGENET_STATISTICS: Any = {"mean": (0.485, 0.456, 0.406), "std": (0.229, 0.224, 0.225)}
+IMAGENET: Any = {"mean": (0.485, 0.456, 0.406), "std": (0.229, 0.224, 0.225)}
 
 PLAIN = OnnxSpec()
 """RGB in [0, 1], resized to the input size of the model, and a probability map as output."""
 
 PRESETS = {
     # The network includes the sigmoid. Its loader pads before the normalisation.
-    "iml-vit": OnnxSpec(size=1024, fit="pad", **IMAGENET_STATISTICS),
+    "iml-vit": OnnxSpec(size=1024, fit="pad", **IMAGENET),
     "trufor": OnnxSpec(fit="none", scale=255 / 256, activation="softmax", channel=1),
     # The inference code reads BGR, but applies the RGB statistics. Outputs: edges, map.
     "mvss-net": OnnxSpec(
-        size=512,
-        low_pass=False,
-        channels="bgr",
-        **IMAGENET_STATISTICS,
-        output=1,
-        activation="sigmoid",
+        size=512, low_pass=False, channels="bgr", **IMAGENET, output=1, activation="sigmoid"
     ),
     # The localisation head includes the sigmoid.
     "pscc-net": OnnxSpec(fit="none"),

@@ -143,11 +143,9 @@ class _MappingDetector:
 def as_detector(detector: Any, cameras: Sequence[Camera] = ()) -> Detector:
     """Wrap a function of the image, or probability maps, as a detector.
 
-    Probability maps are a mapping by camera name, or any iterable with one for each of the cameras.
-
-    Raises:
-        InputError: if there are more or fewer maps than cameras.
-        ValueError: if it is neither, nor a detector, or a torch module, whose input is unknown.
+    Probability maps are a mapping by camera name, or any iterable with one for each of the cameras;
+    more or fewer maps raise InputError. ValueError if it is neither, nor a detector, or a torch
+    module, whose input is unknown.
     """
     if hasattr(detector, "select"):
         return detector

@@ -1,9 +1,8 @@
 """`gsc-jax verify`: are results, and the inputs they came from, as they were?"""
 
 import dataclasses
-from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import tyro
 
@@ -33,14 +32,12 @@ class Verify:
 def run_verify(options: Verify) -> tuple[list[str], list[str]]:
     """Compare all digests: lines to print, and warnings; changed files raise InputError."""
     out = options.folder
-    found = {name: digests for name in REPORTS if (digests := listed_outputs(out, name))}
-    if not found:
+    listed = {name: digests for name in REPORTS if (digests := listed_outputs(out, name))}
+    if not listed:
         raise InputError(f"{out}: holds no results with digests ({', '.join(REPORTS)})")
-    report, outputs = next(iter(found.items()))
+    report, outputs = next(iter(listed.items()))
     del outputs[report]
-    missing = [
-        f"{out / x}: is missing, {report} lists it" for x in outputs if not is_inside(out, x)
-    ]
+    gone = [f"{out / x}: is missing, {report} lists it" for x in outputs if not is_inside(out, x)]
     here = {out / name: sha256 for name, sha256 in outputs.items() if is_inside(out, name)}
     inputs = read_table(out / report, remedy="").get("inputs")
     inputs = inputs if isinstance(inputs, dict) else {}
@@ -49,19 +46,17 @@ def run_verify(options: Verify) -> tuple[list[str], list[str]]:
     for path in there:
         facts = inputs[path]
         here[Path(path)] = facts.get("sha256") if isinstance(facts, dict) else None
-    if changed := [*missing, *_changes(here, report)]:
-        more = f" (and {len(changed) - 1} more: {'; '.join(changed[1:])})" if changed[1:] else ""
-        raise InputError(changed[0] + more)
+    found = {path: content_digest(path) for path in here}
+    changed = gone + [
+        f"{path}: has changed since the run: its SHA-256 is {sha256[:16]}..., in {report} "
+        f"{str(here[path])[:16]}...; use an unchanged copy"
+        for path, sha256 in found.items()
+        if sha256 != here[path]
+    ]
+    if changed:
+        raise InputError("; ".join(changed))
     return [
         f"outputs  {len(outputs)} files are as they were written",
         f"inputs   {len(there)} are as they were read, {len(inputs) - len(there)} were not found",
         f"report   {out / report}: SHA-256 {content_digest(out / report)}",
     ], [f"{path}: is not there and was not compared" for path in inputs if path not in there]
-
-
-def _changes(digests: Mapping[Path, Any], report: str) -> Iterator[str]:
-    """Sentences about the files whose SHA-256 is another one."""
-    for path, sha256 in digests.items():
-        if (found := content_digest(path)) != sha256:
-            sums = f"its SHA-256 is {found[:16]}..., in {report} {str(sha256)[:16]}..."
-            yield f"{path}: has changed since the run: {sums}; use an unchanged copy"

@@ -27,9 +27,8 @@ from gsc_jax.scene.neighbours import order_of_leaves
 from gsc_jax.scene.pytree import short_repr
 
 TOO_FEW = "There are too few valid Gaussians for forensic features; none is scored."
-MIN_SCENE = 2000
-"""Gaussians below which a scene is smaller than all of the tests."""
 SMALL = "The scene has fewer Gaussians than any that was tested: its attributes say little."
+MIN_SCENE = 2000
 LOCAL_TRACES = quantisation, sh_degree, quaternion_convention
 """Traces that are functions of N Gaussians with finite values and of their neighbours (N, K)."""
 

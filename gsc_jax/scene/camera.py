@@ -66,19 +66,16 @@ def check_camera(camera: Camera) -> None:
     Trees of JAX may hold anything, so that a camera cannot check them when it is made.
     """
     for name, side, last in (("viewmat", 4, (0, 0, 0, 1)), ("K", 3, (0, 0, 1))):
-        matrix = getattr(camera, name)
+        matrix, wanted = getattr(camera, name), f"camera {camera.name!r}: {name} must be"
         if (shape := getattr(matrix, "shape", None)) != (side, side):
-            found = f"{type(matrix).__name__}{f' of shape {shape}' if shape else ''}"
-            raise ValueError(
-                f"camera {camera.name!r}: {name} must be an array ({side}, {side}), got {found}"
-            )
-        if isinstance(matrix, Tracer):
-            continue
-        if not np.isfinite(matrix).all() or not np.allclose(matrix[-1], last, atol=1e-4):
-            raise ValueError(
-                f"camera {camera.name!r}: {name} must be finite with the last row {last}, got "
-                f"{np.asarray(matrix).tolist()}"
-            )
+            found = f"{type(matrix).__name__} of shape {shape}" if shape else type(matrix).__name__
+            raise ValueError(f"{wanted} an array ({side}, {side}), got {found}")
+        valid = isinstance(matrix, Tracer) or (
+            np.isfinite(matrix).all() and np.allclose(matrix[-1], last, atol=1e-4)
+        )
+        if not valid:
+            found = np.asarray(matrix).tolist()
+            raise ValueError(f"{wanted} finite with the last row {last}, got {found}")
 
 
 def intrinsics(focal: float, width: int, height: int) -> np.ndarray:

@@ -192,7 +192,7 @@ def save_parts(
 def _parse(path: Path, max_bytes: int | None) -> "PlyData":
     from plyfile import PlyData, PlyElementParseError
 
-    expected = "; expected the .ply of a 3D Gaussian splatting model"
+    expected = "; expected the .ply of a 3D Gaussian splatting scene (a .splat needs that suffix)"
     with reported(f"{path}: not a PLY file that can be read", expected):
         _check_header(path, max_bytes)
         try:

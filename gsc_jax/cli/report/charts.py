@@ -49,13 +49,13 @@ def score_histogram(result: Result) -> Chart:
     import matplotlib
     from matplotlib.figure import Figure
 
+    noun = "candidates" if are_candidates(result.verdict) else "labelled as tampered"
     threshold, file = result.estimator.threshold, io.StringIO()
     scores, labels = result.tamper[result.seen], result.labels[result.seen]
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(4.4, 3.0), layout="constrained")
-        _draw(figure.subplots(), scores, labels, threshold)
+        _draw(figure.subplots(), scores, labels, threshold, noun.split()[0])
         figure.savefig(file, format="svg", transparent=True, metadata={"Date": None})
-    noun = "candidates" if are_candidates(result.verdict) else "labelled as tampered"
     light = file.getvalue()
     light = dark = light.replace(TAMPERED, CANDIDATE) if noun == "candidates" else light
     for one, other in zip(LIGHT, DARK, strict=True):
@@ -72,14 +72,14 @@ def score_histogram(result: Result) -> Chart:
     return Chart(text, *uris)
 
 
-def _draw(axes: "Axes", scores: np.ndarray, labels: np.ndarray, threshold: float) -> None:
+def _draw(axes: "Axes", scores: np.ndarray, labels: np.ndarray, level: float, name: str) -> None:
     edges = np.linspace(0, 1, SCORE_BINS + 1)
     tampered, authentic = (np.histogram(scores[x], edges)[0] for x in (labels, ~labels))
-    axes.stairs(tampered, edges, fill=True, color="C0", alpha=0.35, label="labelled")
+    axes.stairs(tampered, edges, fill=True, color="C0", alpha=0.35, label=name)
     axes.stairs(tampered, edges, color="C0", linewidth=1.2)
     axes.stairs(authentic, edges, color="C1", linestyle="--", label="others")
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.08), ncols=2, frameon=False)
-    axes.axvline(threshold, color="0.5")
-    axes.annotate("threshold", (threshold, 1.03), xycoords=("data", "axes fraction"), ha="center")
+    axes.axvline(level, color="0.5")
+    axes.annotate("threshold", (level, 1.03), xycoords=("data", "axes fraction"), ha="center")
     axes.set_yscale("symlog", linthresh=1)
     axes.set(xlim=(0, 1), ylim=(0, None), xlabel="score", ylabel="Gaussians")

@@ -79,10 +79,7 @@ def read_inputs(
     usable = detector.select(cameras) if detector and options.views else cameras
     cameras = scene_input.choose_cameras(options, scene, usable, warnings)
     refuse_foreign(options.out, planned_outputs(cameras), report="result.json")
-    with contextlib.suppress(InputError, LookupError, TypeError):
-        before = read_table(options.out / "result.json", remedy="")["command"]["scene"]
-        if before != jsonable(options.scene):
-            warnings.append(f"{options.out}: the results of {before} that were there are replaced")
+    warnings += _replaced(options)
     return Inputs(
         options=options,
         estimator=estimator,
@@ -93,6 +90,15 @@ def read_inputs(
         warnings=warnings,
         files=digests,
     )
+
+
+def _replaced(options: Locate) -> list[str]:
+    """A warning where the folder for the results holds those of another scene."""
+    with contextlib.suppress(InputError, LookupError, TypeError):
+        before = read_table(options.out / "result.json", remedy="")["command"]["scene"]
+        if before != jsonable(options.scene):
+            return [f"{options.out}: the results of {before} that were there are replaced"]
+    return []
 
 
 def run_locate(options: Locate, *, monitor: Monitor) -> Located:

@@ -27,8 +27,6 @@ from gsc_jax.scene.neighbours import order_of_leaves
 from gsc_jax.scene.pytree import short_repr
 
 TOO_FEW = "There are too few valid Gaussians for forensic features; none is scored."
-SMALL = "The scene has fewer Gaussians than any that was tested: its attributes say little."
-MIN_SCENE = 2000
 LOCAL_TRACES = quantisation, sh_degree, quaternion_convention
 """Traces that are functions of N Gaussians with finite values and of their neighbours (N, K)."""
 
@@ -159,11 +157,10 @@ def estimate_from_attributes(
     edited = evidence.verdict >= min_verdict
     labels = (evidence.probability > threshold) & edited
     relative = np.where(evidence.known, evidence.log_odds - evidence.level, 0)
-    known = int(evidence.known.sum())
     return Finding(
         tamper=evidence.probability * edited,
         labels=labels,
         attribute=relative.astype(np.float32),
         verdict=evidence.verdict,
-        warnings=[TOO_FEW] if not known else [SMALL] if known < MIN_SCENE else [],
+        warnings=[] if evidence.known.any() else [TOO_FEW],
     )

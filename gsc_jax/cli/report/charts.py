@@ -30,8 +30,6 @@ STYLE: dict[Any, Any] = {
     **dict.fromkeys(("text.color", "axes.labelcolor", "xtick.labelcolor", "ytick.labelcolor"), INK),
     **dict.fromkeys(("axes.edgecolor", "xtick.color", "ytick.color"), MUTED),
 }
-
-
 SCORE_BINS = 50
 """Bins of width 0.02, so that the thresholds of all methods (0.1 and 0.5) lie between two bins."""
 

@@ -1,9 +1,10 @@
-"""Seconds of a frame of `gsc-jax view --html` in a browser without a graphics card.
+"""Seconds between frames of `gsc-jax view --html` in a browser without a graphics card.
 
     python benchmarks/viewer.py [--counts 20000 250000]
 
 Results of the first scene with as many Gaussians, drawn by Chromium with SwiftShader while the
-camera is dragged: the longest time between two frames in six seconds, at a window of 1280 x 900.
+camera is dragged: the longest time between two frames in six seconds, the median of three times,
+at a window of 1280 x 900, which the page draws at half the resolution without a graphics card.
 """
 
 import dataclasses
@@ -54,7 +55,7 @@ class Options:
 
 
 def main(options: Options) -> None:
-    """Print the seconds of a frame for each number of Gaussians."""
+    """Print the seconds between frames for each number of Gaussians."""
     _, gaussians, _ = next(common.scenes())
     for count in options.counts:
         with tempfile.TemporaryDirectory() as folder:

@@ -84,7 +84,11 @@ def init(r: Array) -> State:
 
 
 def step(
-    state: State, view_loss: Callable[[Array], jax.Array], attributes: Array, *, config: LoopConfig
+    state: State,
+    view_loss: Callable[[jax.Array], jax.Array],
+    attributes: Array,
+    *,
+    config: LoopConfig,
 ) -> tuple[State, StepInfo]:
     """Update the attribute once, with the loss of one view (GS-Checker, eq. 11).
 

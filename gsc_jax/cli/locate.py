@@ -1,6 +1,5 @@
 """`gsc-jax locate`: from files to a folder of results; all input is checked first."""
 
-import contextlib
 import dataclasses
 import hashlib
 import tempfile
@@ -14,7 +13,7 @@ import numpy as np
 from gsc_jax.cli import detector_choice, scene_input
 from gsc_jax.cli.config_file import read_config_file
 from gsc_jax.cli.options import Locate
-from gsc_jax.cli.outputs import jsonable, planned_outputs, versions, write_report, write_results
+from gsc_jax.cli.outputs import planned_outputs, versions, write_report, write_results
 from gsc_jax.cli.ownership import refuse_foreign, refuse_overlap
 from gsc_jax.cli.report.wording import Located
 from gsc_jax.cli.staging import BY_CAMERA, FILES, replacing, views_of, writing_to
@@ -25,7 +24,6 @@ from gsc_jax.evidence.storage import ArrayStore
 from gsc_jax.io.cameras import camera_files
 from gsc_jax.io.files import content_bytes, content_digest, memory_limit
 from gsc_jax.io.ply import PlyScene
-from gsc_jax.io.tables import read_table
 from gsc_jax.locate import locate
 from gsc_jax.scene import Camera, InputError
 
@@ -56,6 +54,8 @@ def read_inputs(
         raise InputError(
             f"{options.out}: holds an edit of `tamper` and its truth; give another --out"
         )
+    if options.scene.name == "highlight.ply" and (options.scene.parent / "result.json").exists():
+        raise InputError(f"{options.scene}: was recoloured by `locate`; give the original scene")
     warnings = []
     if options.config and (method := read_config_file(options.config).method) != options.method:
         warnings.append(
@@ -79,7 +79,6 @@ def read_inputs(
     usable = detector.select(cameras) if detector and options.views else cameras
     cameras = scene_input.choose_cameras(options, scene, usable, warnings)
     refuse_foreign(options.out, planned_outputs(cameras), report="result.json")
-    warnings += _replaced(options)
     return Inputs(
         options=options,
         estimator=estimator,
@@ -90,15 +89,6 @@ def read_inputs(
         warnings=warnings,
         files=digests,
     )
-
-
-def _replaced(options: Locate) -> list[str]:
-    """A warning where the folder for the results holds those of another scene."""
-    with contextlib.suppress(InputError, LookupError, TypeError):
-        before = read_table(options.out / "result.json", remedy="")["command"]["scene"]
-        if before != jsonable(options.scene):
-            return [f"{options.out}: the results of {before} that were there are replaced"]
-    return []
 
 
 def run_locate(options: Locate, *, monitor: Monitor) -> Located:

@@ -239,7 +239,7 @@ class Locate(SceneOptions):
       overview.png             a few views side by side
       render/, overlay/        renders, and renders with the mask
       tamper.ply               the scene, plus the property tamper
-      highlight.ply            tampered red (candidates blue), the rest grey
+      highlight.ply            tampered red, or candidates blue, the rest grey
       labels.npy, tamper.npy   bool and score, by row of the scene
       masks/, scores/          final masks, and scores as 16-bit maps
       detector/                the detector's maps, 16 bits

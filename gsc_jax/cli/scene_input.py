@@ -50,8 +50,6 @@ def read_scene(
     Without --cameras and --views, that many cameras are `placed`; with 0, there are none.
     """
     monitor.progress("load", 0, 2)
-    if options.scene.name == "highlight.ply" and (options.scene.parent / "result.json").exists():
-        raise InputError(f"{options.scene}: shows results in its colours; give the scene itself")
     scene = read_ply(options.scene, max_bytes=memory_limit(options.memory))
     if scene.dropped:
         warnings.append(f"{options.scene}: {scene.dropped_summary}")

@@ -34,7 +34,7 @@ OUTPUTS = {
     "scores/": "rendered scores of the Gaussians, 16 bits",
     "detector/": "probability maps of the 2D detector, 16 bits",
     "tamper.ply": "the scene, plus a property tamper",
-    "highlight.ply": "for any viewer: tampered red, candidates blue, the rest grey",
+    "highlight.ply": "for any viewer: tampered red, or candidates blue, the rest grey",
     "labels.npy": "bool, by row of the scene",
     "tamper.npy": "score from 0 to 1, by row of the scene",
     "views.json": "the cameras of the masks, a cameras.json",

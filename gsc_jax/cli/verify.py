@@ -38,25 +38,25 @@ def run_verify(options: Verify) -> tuple[list[str], list[str]]:
     report, outputs = next(iter(listed.items()))
     del outputs[report]
     gone = [f"{out / x}: is missing, {report} lists it" for x in outputs if not is_inside(out, x)]
-    here = {out / name: sha256 for name, sha256 in outputs.items() if is_inside(out, name)}
+    digests = [(out / name, sha256) for name, sha256 in outputs.items() if is_inside(out, name)]
     inputs = read_table(out / report, remedy="").get("inputs")
     inputs = inputs if isinstance(inputs, dict) else {}
     # A report from elsewhere may name a device, which could be read for ever.
     there = [path for path in inputs if Path(path).is_file() or Path(path).is_dir()]
     for path in there:
         facts = inputs[path]
-        here[Path(path)] = facts.get("sha256") if isinstance(facts, dict) else None
-    found = {path: content_digest(path) for path in here}
+        digests.append((Path(path), facts.get("sha256") if isinstance(facts, dict) else None))
     changed = gone + [
-        f"{path}: has changed since the run: its SHA-256 is {sha256[:16]}..., in {report} "
-        f"{str(here[path])[:16]}...; use an unchanged copy"
-        for path, sha256 in found.items()
-        if sha256 != here[path]
+        f"{path}: has changed since the run: its SHA-256 is {found[:16]}..., in {report} "
+        f"{str(sha256)[:16]}..."
+        for path, sha256 in digests
+        if (found := content_digest(path)) != sha256
     ]
     if changed:
-        raise InputError("; ".join(changed))
+        more = f"; and {len(changed) - 10} more" if changed[10:] else ""
+        raise InputError(f"{'; '.join(changed[:10])}{more}; use unchanged copies")
     return [
         f"outputs  {len(outputs)} files are as they were written",
-        f"inputs   {len(there)} are as they were read, {len(inputs) - len(there)} were not found",
+        f"inputs   {len(there)} are as they were read, {len(inputs) - len(there)} not compared",
         f"report   {out / report}: SHA-256 {content_digest(out / report)}",
     ], [f"{path}: is not there and was not compared" for path in inputs if path not in there]

@@ -61,21 +61,24 @@ def followed_property(observation: Observation, near: float) -> str | None:
     One threshold has to serve all of up to `CHECKED` views that are partly flagged, with a balanced
     accuracy of `MIN_ACCURACY`.
     """
-    gaussians, masks = filled_up(observation.gaussians), observation.masks
-    partly = [c for c in observation.cameras if 0.001 < np.mean(masks[c.name]) < 0.999]
+    gaussians = filled_up(observation.gaussians)
+
+    def mask(camera: Camera) -> np.ndarray:
+        return np.asarray(observation.masks[camera.name], bool)[::STRIDE, ::STRIDE].ravel()
+
+    partly = [camera for camera in observation.cameras if 0.001 < mask(camera).mean() < 0.999]
     chosen = partly[:: max(1, -(-len(partly) // CHECKED))]
     if len(chosen) < 2:
         return None
 
     def compared(camera: Camera) -> dict[str, np.ndarray]:
         maps = properties(np.asarray(render(gaussians, camera, near=near)[0]))
-        maps["mask"] = masks[camera.name].astype(bool)
         return {name: pixels[::STRIDE, ::STRIDE].ravel() for name, pixels in maps.items()}
 
     with view_threads() as pool:
         views = list(bounded_map(pool, compared, chosen))
     pixels = {name: np.concatenate([view[name] for view in views]) for name in views[0]}
-    flagged = pixels.pop("mask")
+    flagged = np.concatenate([mask(camera) for camera in chosen])
     accuracies = {name: separation(values, flagged) for name, values in pixels.items()}
     best = max(accuracies, key=accuracies.__getitem__)
     return best if accuracies[best] >= MIN_ACCURACY else None

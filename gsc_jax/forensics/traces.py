@@ -25,9 +25,10 @@ MAX_OUTSIDE_RATE = 0.05
 """Rate of marks outside of the regions above which the scene itself produces them."""
 MAX_NEGATIVE_RATE = 0.005
 """The same for w < 0; scenes that follow w >= 0 only in part have a rate of 0.03."""
-MIN_SIZE_RATIO = 0.7
-"""Least size of w where it is negative, relative to the others of a region: at most 0.49 in a scene
-that was turned after training, so that w passes 0, and 1.02 or more where objects were pasted."""
+MIN_MAGNITUDE_RATIO = 0.7
+"""Least ratio of the median |w| where w < 0 to that of the others, in all regions together. Turning
+a scene after training makes w pass 0: at most 0.49 in 300 turns of a capture, pastes 1.02 or more.
+"""
 MIN_RATE = 1e-3
 """Floor of the estimated rates, so that no score reaches 1."""
 UNIT_TOLERANCE = 1e-4
@@ -135,7 +136,7 @@ def quaternion_convention(gaussians: Gaussians, neighbours: np.ndarray) -> Trace
     signs = region_scores(negative, neighbours, min_share=0.3, max_outside=MAX_NEGATIVE_RATE)
     inside, size = signs > 0.5, np.abs(quats[:, 0]) / np.where(norms > 0, norms, 1)
     below, above = size[inside & negative], size[inside & ~negative]
-    if len(below) and len(above) and np.median(below) < MIN_SIZE_RATIO * np.median(above):
+    if len(below) and len(above) and np.median(below) < MIN_MAGNITUDE_RATIO * np.median(above):
         signs = np.zeros_like(signs)
     found = "have quaternions of another length or sign convention than the others"
     absent = "The quaternions follow one convention."

@@ -74,7 +74,7 @@ def orbit_cameras(
     K, eyes = intrinsics(focal, width, height), center + distance * _directions(n, up, seed)
     poses = [look_at(eye, center, up) for eye in eyes]
     return [
-        Camera(viewmat=pose, K=K, width=width, height=height, name=f"orbit_{index:03d}")
+        Camera(viewmat=pose, K=K.copy(), width=width, height=height, name=f"orbit_{index:03d}")
         for index, pose in enumerate(poses)
     ]
 

@@ -6,7 +6,7 @@ import jax
 import numpy as np
 from jax.core import Tracer
 
-from gsc_jax.scene.errors import in_range
+from gsc_jax.scene.errors import InputError, in_range
 from gsc_jax.scene.gaussians import Array
 from gsc_jax.scene.pytree import STATIC
 
@@ -61,21 +61,24 @@ class Camera:
 
 
 def check_camera(camera: Camera) -> None:
-    """Raise ValueError if the matrices of a camera have another shape, or are none of a camera.
+    """Raise InputError if the matrices of a camera are not valid; TypeError if it is no camera.
 
-    Trees of JAX may hold anything, so that a camera cannot check them when it is made.
+    JAX rebuilds pytrees with arbitrary leaves, so that `__post_init__` cannot check them.
     """
+    if not isinstance(camera, Camera):
+        raise TypeError(f"expected a Camera, got {type(camera).__name__}")
     for name, side, last in (("viewmat", 4, (0, 0, 0, 1)), ("K", 3, (0, 0, 1))):
         matrix, wanted = getattr(camera, name), f"camera {camera.name!r}: {name} must be"
         if (shape := getattr(matrix, "shape", None)) != (side, side):
             found = f"{type(matrix).__name__} of shape {shape}" if shape else type(matrix).__name__
-            raise ValueError(f"{wanted} an array ({side}, {side}), got {found}")
-        valid = isinstance(matrix, Tracer) or (
-            np.isfinite(matrix).all() and np.allclose(matrix[-1], last, atol=1e-4)
-        )
-        if not valid:
-            found = np.asarray(matrix).tolist()
-            raise ValueError(f"{wanted} finite with the last row {last}, got {found}")
+            raise InputError(f"{wanted} an array ({side}, {side}), got {found}")
+        if isinstance(matrix, Tracer):
+            continue
+        values = np.asarray(matrix)  # at once: a jit around would trace operations of JAX
+        if not (np.isfinite(values).all() and np.allclose(values[-1], last, atol=1e-4)):
+            raise InputError(
+                f"{wanted} finite with the last row {last}, not transposed, got {values.tolist()}"
+            )
 
 
 def intrinsics(focal: float, width: int, height: int) -> np.ndarray:

@@ -193,18 +193,9 @@ def test_the_scene_may_be_an_earlier_result(case, found, tmp_path):
     )
 
 
-def test_results_of_another_scene_are_replaced_with_a_warning(case, tmp_path):
-    out, other = tmp_path / "out", tmp_path / "other.ply"
-    other.write_bytes((case / "scene.ply").read_bytes())
-    for scene, warned in ((other, False), (other, False), (case / "scene.ply", True)):
-        answer = run(*given(case, scene=scene), "--out", out)
-        assert answer.code == 0
-        assert (f"the results of {other} that were there are replaced" in answer.err) == warned
-
-
 def test_a_picture_of_results_is_no_scene(case, found, tmp_path):
     picture = found[0] / "highlight.ply"
-    assert "give the scene itself" in refused(*given(case, scene=picture), "--out", tmp_path)
+    assert "give the original scene" in refused(*given(case, scene=picture), "--out", tmp_path)
 
 
 def test_views_without_a_mask_get_a_final_mask(case, tmp_path):

@@ -97,10 +97,9 @@ def done(collection, tmp_path_factory) -> tuple[Path, dict[str, dict]]:
 
 def test_results_equal_those_of_single_runs_to_the_bit(collection, done, tmp_path):
     for name in ("sub0/0.ply", "sub1/5.ply"):
-        one = tmp_path / name
-        assert run("locate", collection / name, "--out", one).code == 0
-        single, row = json.loads((one / "result.json").read_text()), done[1][name]
-        tamper, labels = (np.load(one / f"{n}.npy") for n in ("tamper", "labels"))
+        assert run("locate", collection / name, "--out", tmp_path / "one").code == 0
+        single, row = json.loads((tmp_path / "one" / "result.json").read_text()), done[1][name]
+        tamper, labels = (np.load(tmp_path / "one" / f"{n}.npy") for n in ("tamper", "labels"))
         assert row["result_sha256"] == result_digest(tamper, labels)
         assert row["scene_probability"] == single["verdict"]
         assert row["labelled"] == single["counts"]["tampered"]
@@ -108,7 +107,7 @@ def test_results_equal_those_of_single_runs_to_the_bit(collection, done, tmp_pat
         assert row["warnings"] == single["warnings"]
         folder = done[0] / "reports" / Path(row["report"]).parent
         for file in ("tamper.npy", "labels.npy", "masks/orbit_003.png", "tamper.ply"):
-            assert (folder / file).read_bytes() == (one / file).read_bytes()
+            assert (folder / file).read_bytes() == (tmp_path / "one" / file).read_bytes()
 
 
 def test_a_broken_file_is_a_row(collection, done):

@@ -8,7 +8,13 @@ import pytest
 from gsc_jax import locate, observe
 from gsc_jax.benchmark.metrics import truth_mask
 from gsc_jax.benchmark.scenes import tampered_room
-from gsc_jax.evidence.mask_checks import MIN_CORRELATION, agreement, doubts, separation
+from gsc_jax.evidence.mask_checks import (
+    MIN_CORRELATION,
+    agreement,
+    doubts,
+    followed_property,
+    separation,
+)
 
 MADE = tampered_room(count=4_000, views=10, heldout=0, width=96, height=72)
 ROOM, CAMERAS = MADE.gaussians, MADE.cameras
@@ -55,6 +61,15 @@ def test_empty_masks_say_nothing_about_themselves():
     empty = {camera.name: np.zeros((72, 96), bool) for camera in CAMERAS}
     assert agreement(observe(ROOM, CAMERAS, empty).evidence) is None
     assert doubts(observe(ROOM, CAMERAS, empty)) == []
+
+
+@pytest.mark.parametrize("rows", [True, False])
+@pytest.mark.parametrize("flag", [True, False])
+def test_masks_of_a_single_line_are_judged_like_others(rows, flag):
+    line = np.full((72, 96), not flag)
+    line[(slice(None), 15) if rows else 15] = flag
+    observed = observe(ROOM, CAMERAS, {camera.name: line for camera in CAMERAS})
+    assert followed_property(observed, near=0.2) is None
 
 
 def test_separation_is_the_best_balanced_accuracy_in_either_direction():

@@ -81,7 +81,7 @@ def test_quaternions_of_another_sign_are_marked():
 
 
 @needs_data
-@pytest.mark.parametrize("seed", [0, 41, 45, 51, 54])
+@pytest.mark.parametrize("seed", [41, 45, 51, 54])
 def test_a_scene_that_was_turned_after_training_has_no_trace(seed):
     gaussians = load_ply(DATA / "scenes" / "seal.ply")
     turn = Rotation.random(rng=seed) * Rotation.from_rotvec([np.deg2rad(75), 0, 0])

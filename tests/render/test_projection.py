@@ -12,7 +12,10 @@ from hypothesis import strategies as st
 from strategies import blobs, camera, needles, random_scene, scenes, with_row
 
 from gsc_jax.render.projection import MIN_ALPHA, project, project_centers
+from gsc_jax.render.reprojection import reprojected
+from gsc_jax.render.tiles import make_view
 from gsc_jax.scene.gaussians import usable_rows
+from gsc_jax.splat import render_view
 
 SIZES = [(1, 1), (15, 17), (33, 1), (17, 33)]
 CLOSE_TO_THE_BORDER = 1e-3
@@ -178,3 +181,21 @@ def test_matrices_that_are_none_of_a_camera_are_refused(changes, message):
 def test_what_is_no_scene_is_refused_by_its_type():
     with pytest.raises(TypeError, match="expected Gaussians, as of load_ply, got str"):
         project("scene.ply", camera(16, 16))  # pyright: ignore[reportArgumentType]
+
+
+def test_what_is_no_camera_is_refused_by_its_type():
+    with pytest.raises(TypeError, match="expected a Camera, got str"):
+        project(blobs([[0, 0, 3]]), "camera")  # pyright: ignore[reportArgumentType]
+
+
+def test_a_camera_on_the_device_may_come_from_outside_of_a_compiled_function():
+    scene, view = blobs([[0, 0, 3]]), camera(16, 16)
+    there = jax.tree.map(jnp.asarray, view)
+    own = make_view(scene, there)
+
+    @jax.jit
+    def total(scene):
+        return render_view(reprojected(own, scene, there), scene, there)[0].sum()
+
+    assert total(scene) == pytest.approx(float(render_view(own, scene, view)[0].sum()))
+    assert np.isfinite(jax.grad(total)(scene).means).all()

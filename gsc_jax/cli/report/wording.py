@@ -95,8 +95,8 @@ def meaning(verdict: float, *, masks: bool, traced: bool = False) -> str:
     """
     if traced and not masks:
         return (
-            "It rests on what was found in the stored numbers: editing a part of a file leaves "
-            "that, and any other program that rewrites only a part may leave it, too."
+            "It rests on a trace in the stored values. Editing a part of a file leaves one, but so "
+            "may any program that rewrites only a part."
         )
     found = outcome(verdict)
     assert found is not None

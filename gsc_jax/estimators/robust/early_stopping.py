@@ -52,9 +52,9 @@ def observe_until_stable(
 ) -> tuple[Observation, Finding, EarlyStopping]:
     """Observe growing batches of views until labels change by less than the estimator's tolerance.
 
-    The function keeps what it observed before, as the one of `observation` does with a store, and
-    the detector has an output for all cameras. The monitor records the time of the estimates and
-    the progress over views.
+    `observe` must keep the views that it has observed, as with a store; the detector has an output
+    for all cameras. `prior` is a probability per Gaussian. The monitor records the time of the
+    estimates and the progress over views.
     """
     order = [cameras[k] for k in spread(len(cameras))]
     changes, before = [], None

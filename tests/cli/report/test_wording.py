@@ -69,7 +69,7 @@ def test_an_outcome_of_most_scenes_is_said_to_say_little(verdict, masks, weak):
 
 
 def test_a_trace_without_masks_is_said_to_decide():
-    assert "stored numbers" in wording.meaning(0.99, masks=False, traced=True)
+    assert "stored values" in wording.meaning(0.99, masks=False, traced=True)
     for masks, traced in ((True, True), (False, False)):
         assert "In tests" in wording.meaning(0.99, masks=masks, traced=traced)
 

@@ -55,7 +55,7 @@ class SourcesArgs(Args):
 
 
 def subsets(sources: Sequence[str]) -> Iterator[frozenset[str]]:
-    """All sets of sources that contain one at least and lack one at least."""
+    """All subsets of the sources, except the empty one and the whole."""
     for count in range(1, len(sources)):
         yield from map(frozenset, itertools.combinations(sources, count))
 

@@ -42,10 +42,10 @@ class Detector(Protocol):
 
 
 def fit_to_view(probability: Any, camera: Camera) -> np.ndarray:
-    """Resize a probability map to a view, (H, W) float32, for one threshold, strictly above 0.5.
+    """Resize a probability map to the size of a view, (H, W) float32, without a threshold.
 
-    The given one has shape (h, w), possibly with further axes of length 1, and is boolean or in
-    [0, 1]; an output that is no map of probabilities raises InputError.
+    The map has shape (h, w), possibly with further axes of length 1, and is boolean or in [0, 1];
+    an output that is no map of probabilities raises InputError.
     """
     from skimage.transform import resize
 

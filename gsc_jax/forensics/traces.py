@@ -26,9 +26,9 @@ MAX_OUTSIDE_RATE = 0.05
 MAX_NEGATIVE_RATE = 0.005
 """The same for w < 0; scenes that follow w >= 0 only in part have a rate of 0.03."""
 MIN_MAGNITUDE_RATIO = 0.7
-"""Least ratio of the median |w| where w < 0 to that of the others, in all regions together. Turning
-a scene after training makes w pass 0: at most 0.49 in 300 turns of a capture, pastes 1.02 or more.
-"""
+"""Least median |w| of quaternions with w < 0 in the regions, divided by that of the others there.
+Where a scene was turned after training, w is close to 0 where it changes its sign: the ratio was at
+most 0.49 in 300 turns of a capture, and at least 1.02 for ten pasted objects (by hand)."""
 MIN_RATE = 1e-3
 """Floor of the estimated rates, so that no score reaches 1."""
 UNIT_TOLERANCE = 1e-4

@@ -49,7 +49,7 @@ def one_line(
 
 
 def _reason(message: str) -> str:
-    """A message of pydantic in the words of this package."""
+    """The message of a pydantic error, reworded for the users of this package."""
     return message.removeprefix("Value error, ").replace("Input should be", "expected", 1)
 
 

@@ -87,7 +87,7 @@ def test_a_scene_that_was_turned_after_training_has_no_trace(seed):
     turn = Rotation.random(rng=seed) * Rotation.from_rotvec([np.deg2rad(75), 0, 0])
     quats = np.asarray(gaussians.quats, np.float64)
     turned = turn * Rotation.from_quat(quats, scalar_first=True)
-    # Products of quaternions keep their sign, as in editors; SciPy's own choice is the positive.
+    # Editors store the product as it is; SciPy may flip its sign, so the sign is computed here.
     w, v = turn.as_quat(scalar_first=True)[0], turn.as_quat(scalar_first=True)[1:]
     negative = w * quats[:, 0] - quats[:, 1:] @ v < 0
     unit = turned.as_quat(canonical=True, scalar_first=True)

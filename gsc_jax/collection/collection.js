@@ -1,9 +1,9 @@
 "use strict";
 // Elements exist for the visible rows only; two empty rows have the height of all others.
 const HEIGHT = 40, AROUND = 10;
-const [ID, PROBABILITY, SHARE, GAUSSIANS, BYTES, SECONDS, TRACES, KIND, ERROR, REPORT, COPY] = Array(11).keys();
+const [ID, PROBABILITY, SHARE, GAUSSIANS, BYTES, SECONDS, TRACES, KIND, ERROR, REPORT, COPY, OUTCOME] = Array(12).keys();
 const all = JSON.parse(document.getElementById("data").textContent);
-const words = all.map(row => [row[ID], row[TRACES], row[KIND], row[ERROR], row[COPY]].join(" ").toLowerCase());
+const words = all.map(row => [row[ID], row[OUTCOME], row[TRACES], row[KIND], row[ERROR], row[COPY]].join(" ").toLowerCase());
 const box = document.getElementById("box"), body = box.querySelector("tbody");
 const filter = document.getElementById("filter"), shown = document.getElementById("shown");
 let order = [], sorted = PROBABILITY, descending = true;
@@ -16,7 +16,8 @@ function texts(entry) {
   const labelled = entry[SHARE] === null ? "" : fixed(100 * entry[SHARE], 2) + " %";
   const error = entry[KIND] ? entry[KIND] + ": " + entry[ERROR] : entry[COPY] ? "copy of " + entry[COPY] : "";
   const numbers = [whole(entry[GAUSSIANS]), whole(entry[BYTES]), fixed(entry[SECONDS], 1)];
-  return [entry[ID], fixed(entry[PROBABILITY], 3), labelled, ...numbers, entry[TRACES] ?? "", error];
+  const probability = `${fixed(entry[PROBABILITY], 3)} ${entry[OUTCOME] ?? ""}`;
+  return [entry[ID], probability, labelled, ...numbers, entry[TRACES] ?? "", error];
 }
 
 function link(entry) {

@@ -5,12 +5,12 @@ from collections.abc import Sequence
 
 from gsc_jax.cli.report.page import complete_page
 from gsc_jax.collection.record import Row
-from gsc_jax.estimators.protocol import EVIDENCE_FROM
+from gsc_jax.estimators.protocol import outcome
 
 MARK = "<!-- gsc_jax collection -->"
 SHOWN = ("id", "scene_probability", "labelled_share", "gaussians", "bytes", "seconds", "traces")
 SHOWN += ("error_class", "error", "report", "duplicate_of")
-"""Columns of the page, in its order."""
+"""Columns of the page, in its order; the outcome follows them."""
 
 
 def collection_page(rows: Sequence[Row]) -> str:
@@ -20,17 +20,22 @@ def collection_page(rows: Sequence[Row]) -> str:
     errors are foreign text, which becomes text of elements and never markup.
     """
     probabilities = [p for row in rows if (p := row["scene_probability"]) is not None]
+    outcomes = Counter(map(outcome, probabilities))
     bins = Counter(min(int(10 * probability), 9) for probability in probabilities)
     return complete_page(
         "gsc_jax.collection",
         "collection",
         mark=MARK,
         count=len(rows),
-        edited=sum(probability >= EVIDENCE_FROM for probability in probabilities),
+        edited=outcomes["evidence"],
+        outcomes=outcomes.most_common(),
         bins=[bins[index] for index in range(10)],
         errors=Counter(row["error_class"] for row in rows if row["error_class"]).most_common(),
         traces=Counter(name for row in rows for name in row["traces"] or ()).most_common(),
-        data=[[_shown(row[name]) for name in SHOWN] for row in rows],
+        data=[
+            [*(_shown(row[name]) for name in SHOWN), outcome(row["scene_probability"])]
+            for row in rows
+        ],
     )
 
 

@@ -114,8 +114,12 @@ class _FunctionDetector:
         return list(cameras)
 
     def __call__(self, image: np.ndarray | None, camera: Camera) -> np.ndarray:
-        # A copy, which the function may change: torch wants arrays that it could write to.
-        return same_view(self.function(np.array(image)), camera)
+        try:  # with a copy, which the function may change: torch wants writable arrays
+            probability = self.function(np.array(image))
+        except Exception as error:
+            error.add_note(f"The detector was shown view {camera.name!r}.")
+            raise
+        return same_view(probability, camera)
 
 
 @dataclasses.dataclass(frozen=True)

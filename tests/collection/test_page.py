@@ -56,7 +56,7 @@ def test_rows_are_sorted_and_filtered(browser, tmp_path):
     opened(browser, tmp_path, rows)
     assert shown(browser) == "2,000 shown"
     best = sorted((row["scene_probability"] or 0 for row in rows), reverse=True)
-    assert column(browser, 1)[:9] == [f"{probability:.3f}" for probability in best[:9]]
+    assert column(browser, 1)[:9] == [f"{probability:.3f} evidence" for probability in best[:9]]
     assert len(column(browser, 0)) < 100, "elements exist for visible rows only"
     sort(browser, 0)
     names = sorted(row["id"] for row in rows)
@@ -70,6 +70,10 @@ def test_rows_are_sorted_and_filtered(browser, tmp_path):
     browser.find_element(By.CSS_SELECTOR, "[data-filter=InputError]").click()
     assert shown(browser) == "400 shown"
     assert column(browser, 7)[0] == f"InputError: {ERROR}", "an error is text and never markup"
+    browser.find_element(By.CSS_SELECTOR, "[data-filter=inconclusive]").click()
+    unclear = sum(0.35 <= (row["scene_probability"] or 0) < 0.65 for row in rows)
+    assert shown(browser) == f"{unclear} shown"
+    assert all("inconclusive" in text for text in column(browser, 1))
     assert [e for e in browser.errors() if "overview.png" not in e] == []
     assert browser.foreign_requests() == []
 

@@ -36,6 +36,12 @@ def test_a_detector_that_cannot_be_called_is_an_error():
         observe(SCENE, [CAMERA], 3)  # type: ignore[arg-type]
 
 
+def test_an_error_of_a_detector_names_the_view():
+    with pytest.raises(ZeroDivisionError) as caught:
+        observe(SCENE, [CAMERA], lambda image: 1 / 0)
+    assert caught.value.__notes__ == ["The detector was shown view 'one'."]
+
+
 VIEWS = [dataclasses.replace(camera(16, 12), name=name) for name in ("a", "b", "c")]
 CLOUD = random_scene(50)
 

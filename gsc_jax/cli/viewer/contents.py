@@ -100,6 +100,15 @@ class Contents:
         """Colours (N, 3) and opacities (N, 1) of a layer."""
         return layer_colours(self.splats, self.score, layer, threshold, tint=self.tint)
 
+    def with_most(self, count: int) -> "Contents":
+        """The same with the largest `count` splats; the largest labelled ones are half of them."""
+        labelled = np.flatnonzero(self.score > self.threshold)
+        own = largest(self.splats.take(labelled), count // 2, first=np.zeros(len(labelled), bool))
+        first = np.isin(np.arange(len(self.score)), labelled[own])
+        rows = largest(self.splats, count, first=first)
+        parts = {"score": self.score[rows], "rows": self.rows[rows]}
+        return dataclasses.replace(self, splats=self.splats.take(rows), **parts)
+
 
 def version(folder: Path) -> object:
     """Changes with the results in a folder."""

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 STEPS = {"previous": -1, "here": 0, "next": 1}
 AT_THRESHOLD: tuple[Layer, ...] = ("result", "tampered only", "authentic only")
 """Layers that depend on the threshold."""
+SCORES = (0.0, 0.1, 0.25, 0.5, 0.75, 0.9, 1.0)
+"""Scores that limit the nodes of a written page, which has no slider."""
 SELECTED = np.array([1.0, 0.95, 0.2], np.float32)
 
 
@@ -99,13 +101,15 @@ def set_first_view(server: "viser.ViserServer", contents: Contents) -> None:
 
 
 def add_layers(server: "viser.ViserServer", contents: Contents) -> None:
-    """Add nodes for tampered splats, authentic splats and the heat map, which starts hidden."""
+    """Add nodes for tampered and authentic splats by score, and the heat map, which is hidden."""
     tampered, splats = contents.score > contents.threshold, contents.splats
+    band = np.digitize(contents.score, SCORES[1:-1])
     result, heat_map = (
         dataclasses.replace(splats, rgbs=contents.colours(layer, contents.threshold)[0])
         for layer in ("result", "heat map")
     )
     for name, rows in (("tampered", tampered), ("authentic", ~tampered)):
-        if rows.any():
-            add_splats(server, f"/{name}", result.take(rows))
+        for k in np.unique(band[rows]):
+            scores = f"score {SCORES[k]:g} to {SCORES[k + 1]:g}"
+            add_splats(server, f"/{name}/{scores}", result.take(rows & (band == k)))
     add_splats(server, "/heat map", heat_map).visible = False

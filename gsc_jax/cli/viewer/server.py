@@ -10,7 +10,7 @@ import contextlib
 import socket
 import threading
 import webbrowser
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 
 TITLE_END = "gsc-jax</title>"
 """In the title of every written page."""
+WITHOUT_GPU = 10_000
+"""Gaussians that a written page shows at first in a browser without a graphics card."""
 ALL_ADDRESSES = ("0.0.0.0", "::")
 """Hosts that stand for every address of this machine."""
 
@@ -80,13 +82,19 @@ def run_view(
 def write_page(path: Path, contents: Contents) -> str:
     """Write a page that needs neither server nor network, and describe it in a line."""
     refuse_foreign_file(path, TITLE_END)
-    with serving(Access(host="127.0.0.1"), port=0) as server:
-        add_layers(server, contents)
-        set_first_view(server, contents)
-        html = viewer_page(server.scene.as_html(dark_mode=True), contents)
+    counts = sorted({len(contents.score), min(len(contents.score), WITHOUT_GPU)})
+    html = viewer_page({n: _client(contents.with_most(n)) for n in counts}, contents)
     with atomic(path) as temporary:
         temporary.write_text(html, encoding="utf-8")
     return f"page     {path} ({len(html) / 2**20:.1f} MiB)"
+
+
+def _client(contents: Contents) -> str:
+    """The page of viser, with the scene inside."""
+    with serving(Access(host="127.0.0.1"), port=0) as server:
+        add_layers(server, contents)
+        set_first_view(server, contents)
+        return server.scene.as_html(dark_mode=True)
 
 
 @contextlib.contextmanager
@@ -142,14 +150,14 @@ def _url(host: str, port: int, token: str) -> str:
     return f"http://{name}:{port}/{token}/"
 
 
-def viewer_page(client: str, contents: Contents) -> str:
-    """Render a page without server and network; `client` is viser's page, with the scene inside."""
+def viewer_page(clients: Mapping[int, str], contents: Contents) -> str:
+    """Render a page without server and network; the clients, by their Gaussians, are ascending."""
     from jinja2 import Environment
 
     template = files("gsc_jax.cli.viewer").joinpath("viewer.html").read_text(encoding="utf-8")
     views = [(pose.name, _address(pose, contents)) for pose in contents.poses]
     page = Environment(autoescape=True).from_string(template)
-    return page.render(contents=contents, views=views, legend=legend(), client=client)
+    return page.render(contents=contents, views=views, legend=legend(), clients=clients)
 
 
 def _address(pose: Pose, contents: Contents) -> str:

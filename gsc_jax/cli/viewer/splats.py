@@ -60,17 +60,16 @@ def splats(gaussians: Gaussians) -> Splats:
     )
 
 
-def largest(gaussians: Gaussians, count: int, *, first: np.ndarray) -> np.ndarray:
-    """Rows of the `count` Gaussians of largest opacity times area, ascending, at most all.
+def largest(splats: Gaussians | Splats, count: int, *, first: np.ndarray) -> np.ndarray:
+    """Rows of the `count` splats of largest opacity times area, ascending, at most all.
 
     Those of `first`, (N,) bool, precede all others unless they are invisible.
     """
-    if count >= len(gaussians):
-        return np.arange(len(gaussians))
-    axes = np.sort(np.asarray(gaussians.log_scales, np.float64), axis=1)
-    with np.errstate(divide="ignore"):  # log 0 = -inf sorts invisible Gaussians last
-        sizes = np.log(np.asarray(gaussians.opacities, np.float64)) + axes[:, 1] + axes[:, 2]
-    return np.sort(np.lexsort((-sizes, ~(first & np.isfinite(sizes))))[:count])
+    if count >= len(first):
+        return np.arange(len(first))
+    axes = np.sort(np.asarray(splats.scales, np.float64), axis=1)
+    sizes = np.ravel(splats.opacities) * axes[:, 1] * axes[:, 2]
+    return np.sort(np.lexsort((-sizes, ~(first & (sizes > 0))))[:count])
 
 
 def heat(score: Array) -> np.ndarray:

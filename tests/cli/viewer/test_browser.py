@@ -15,7 +15,7 @@ from selenium.webdriver import ActionChains, Keys
 from selenium.webdriver.common.by import By
 from selenium.webdriver.remote.webelement import WebElement
 from selenium.webdriver.support.expected_conditions import frame_to_be_available_and_switch_to_it
-from selenium.webdriver.support.ui import WebDriverWait
+from selenium.webdriver.support.ui import Select, WebDriverWait
 
 from gsc_jax.cli.results import read_results
 from gsc_jax.cli.viewer.access import Access
@@ -167,6 +167,24 @@ class TestWrittenPage:
             assert "no WebGL 2" in shown.browser.find_element(By.TAG_NAME, "header").text
         finally:
             shown.browser.execute_cdp_cmd(run_before.replace("add", "remove"), script)
+
+    def test_without_a_graphics_card_few_gaussians_come_first(self, shown, tmp_path, monkeypatch):
+        monkeypatch.setattr("gsc_jax.cli.viewer.server.WITHOUT_GPU", 300)
+        write_page(tmp_path / "page.html", shown.contents)
+        shown.open((tmp_path / "page.html").as_uri())
+        header, count = (shown.browser.find_element(By.TAG_NAME, "header"), "300 Gaussians")
+        assert f"only the largest {count}" in header.text
+        frame = frame_to_be_available_and_switch_to_it((By.TAG_NAME, "iframe"))
+        shown.until(frame)
+        shown.becomes(lambda picture: red(picture) > 0.001 and blue(picture) < 0.6)
+        few = shown.picture()
+        shown.browser.switch_to.default_content()
+        choice = Select(shown.browser.find_element(By.ID, "count"))
+        assert choice.first_selected_option.text == count
+        choice.select_by_index(1)
+        shown.until(frame)
+        shown.becomes(lambda picture: blue(picture) > blue(few) + 0.01)
+        shown.browser.switch_to.default_content()
 
     def test_layers_are_shown_and_hidden(self, page):
         assert red(page.picture()) > 0.005

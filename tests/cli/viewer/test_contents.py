@@ -57,6 +57,19 @@ def test_omitted_gaussians_are_reported(results: Results):
     assert "100 of 1,998 Gaussians" in notes[0]
 
 
+@pytest.mark.parametrize("count", [100, 1500, 1998])
+def test_fewer_splats_show_the_labelled_ones_and_their_surroundings(results: Results, count: int):
+    contents, _ = viewer_contents(results, most=ALL)
+    fewer = contents.with_most(count)
+    labels = contents.score > contents.threshold
+    assert len(fewer.score) == len(fewer.rows) == count
+    shown = np.isin(contents.rows, fewer.rows)
+    np.testing.assert_array_equal(fewer.score, contents.score[shown])
+    np.testing.assert_array_equal(fewer.splats.centers, contents.splats.centers[shown])
+    assert (shown & labels).sum() >= min(labels.sum(), count // 2)
+    assert (shown & ~labels).any()
+
+
 def test_far_plane_includes_outliers(results: Results, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(module, "MAX_DEPTH_SAMPLES", 10)
     means = np.array(results.scene.gaussians.means)
@@ -91,6 +104,7 @@ def test_hostile_names_are_escaped_in_the_written_page(results: Results, tmp_pat
     bad = "</script><b>&'\""
     poses = [dataclasses.replace(pose, name=bad) for pose in contents.poses]
     contents = dataclasses.replace(contents, title=bad, sentences=[bad], poses=poses)
-    page = viewer_page("<html><body><script>scene</script></body></html>", contents)
+    scene = "<html><body><script>scene</script></body></html>"
+    page = viewer_page({5: scene, 10: scene}, contents)
     assert "<b>" not in page
-    assert page.count("</script>") == page.count("<script") == 2
+    assert page.count("</script>") == page.count("<script") == 3

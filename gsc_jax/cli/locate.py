@@ -5,7 +5,7 @@ import hashlib
 import tempfile
 import uuid
 from importlib.metadata import distributions
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -31,8 +31,7 @@ EXPANDED = 16
 """Evidence up to this part of --memory is expanded, which makes estimates faster."""
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Inputs:
+class Inputs(NamedTuple):
     """Validated input of a run, sizes and digests of its files, and whether `attributes` count."""
 
     options: Locate
@@ -79,16 +78,7 @@ def read_inputs(
     usable = detector.select(cameras) if detector and options.views else cameras
     cameras = scene_input.choose_cameras(options, scene, usable, warnings)
     refuse_foreign(options.out, planned_outputs(cameras), report="result.json")
-    return Inputs(
-        options=options,
-        estimator=estimator,
-        attributes=attributes,
-        detector=detector,
-        scene=scene,
-        cameras=cameras,
-        warnings=warnings,
-        files=digests,
-    )
+    return Inputs(options, estimator, attributes, detector, scene, cameras, warnings, digests)
 
 
 def run_locate(options: Locate, *, monitor: Monitor) -> Located:
@@ -105,13 +95,8 @@ def locate_and_write(inputs: Inputs, *, prior: Prior | bool, monitor: Monitor) -
         store = ArrayStore(views_of(folder), max_bytes=memory_limit(options.memory) // EXPANDED)
         settings = {"config": inputs.estimator, "prior": prior, "monitor": monitor, "store": store}
         result = locate(scene.gaussians, cameras, inputs.detector, **settings)
-        located = Located(
-            scene=scene,
-            cameras=cameras,
-            result=result,
-            visible_share=float(np.mean([mask.mean() for mask in result.masks.values()])),
-            inputs=inputs.files,
-        )
+        visible_share = float(np.mean([mask.mean() for mask in result.masks.values()]))
+        located = Located(scene, cameras, result, visible_share, inputs.files)
         with monitor.stage("write"):
             write_results(folder, located, store, monitor=monitor)
         warnings = list(dict.fromkeys([*inputs.warnings, *result.warnings]))  # of `check_views`

@@ -172,9 +172,5 @@ def unanimous(evidence: EvidenceOfViews) -> Finding | None:
         labels, warning = seen, ALL_FLAGGED
     else:
         return None
-    return Finding(
-        tamper=labels.astype(np.float32),
-        labels=labels,
-        attribute=np.zeros(len(seen), np.float32),
-        warnings=[warning],
-    )
+    tamper, attribute = labels.astype(np.float32), np.zeros(len(seen), np.float32)
+    return Finding(tamper=tamper, labels=labels, attribute=attribute, warnings=[warning])

@@ -12,7 +12,7 @@ from gsc_jax.locate import Result
 from gsc_jax.scene import Camera
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@dataclasses.dataclass(frozen=True)
 class Located:
     """A finished run of `locate`; the masks of the result are files in the folder by now.
 

@@ -65,10 +65,12 @@ def write_results(folder: Path, located: Located, store: ArrayStore, *, monitor:
     _write_overview(folder / "overview.png", cameras, result, store)
 
 
-def planned_outputs(cameras: Sequence[Camera]) -> list[str]:
+def planned_outputs(
+    cameras: Sequence[Camera], files: Sequence[str] = FILES, folders: Sequence[str] = BY_CAMERA
+) -> list[str]:
     """Every file that is written for these cameras, relative to the folder of results."""
-    paths = [layer_path("", layer, camera.name) for camera in cameras for layer in BY_CAMERA]
-    return [*FILES, *(path.as_posix() for path in paths)]
+    paths = [layer_path("", folder, camera.name) for camera in cameras for folder in folders]
+    return [*files, *(path.as_posix() for path in paths)]
 
 
 def write_report(

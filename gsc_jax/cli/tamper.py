@@ -12,9 +12,9 @@ from gsc_jax.benchmark.incorporation import extent
 from gsc_jax.benchmark.metrics import truth_mask
 from gsc_jax.benchmark.scenes import make_object
 from gsc_jax.benchmark.simulate import REGIMES, decoy_labels, simulate
-from gsc_jax.benchmark.tamper import Tampered, tamper
+from gsc_jax.benchmark.tamper import Edit, Tampered, tamper
 from gsc_jax.cli.options import Tamper
-from gsc_jax.cli.outputs import save_array, versions, write_json
+from gsc_jax.cli.outputs import planned_outputs, save_array, versions, write_json
 from gsc_jax.cli.ownership import refuse_foreign, refuse_overlap
 from gsc_jax.cli.pictures import SHEET_ROWS, contact_sheet, overlay
 from gsc_jax.cli.scene_input import check_numbers, choose_cameras, evenly_spaced, naming, read_scene
@@ -41,19 +41,14 @@ def run_tamper(options: Tamper, *, monitor: Monitor) -> tuple[list[str], list[st
     _check(options)
     scene, cameras = read_scene(options, warnings, monitor)
     cameras = choose_cameras(options, scene, cameras, warnings)
-    refuse_foreign(options.out, _planned(options, cameras), report=REPORT)
-    donor = _donor(options)
+    folders = ("truth",) if options.masks == "none" else BY_CAMERA
+    refuse_foreign(options.out, planned_outputs(cameras, FILES, folders), report=REPORT)
+    edit = _edit(options)
+    numbers = {name: getattr(options, name) for name in ("size", "near", "seed")}
     with replacing(options.out, report=REPORT) as folder:
         monitor.progress("edit", 0, 1)
         with naming(options.scene):
-            edited = tamper(
-                scene.gaussians,
-                cameras,
-                options.edit if donor is None else donor,
-                size=options.size,
-                near=options.near,
-                seed=options.seed,
-            )
+            edited = tamper(scene.gaussians, cameras, edit, **numbers)
         monitor.progress("edit", 1, 1)
         _write(folder, options, edited, cameras, monitor)
         _write_overview(folder / "overview.png", scene.gaussians, edited, cameras, options.near)
@@ -74,17 +69,10 @@ def _check(options: Tamper) -> None:
     refuse_overlap(options.out, files, written=(*FILES, *BY_CAMERA))
 
 
-def _planned(options: Tamper, cameras: Sequence[Camera]) -> list[str]:
-    """Every file that is written, relative to the folder of --out."""
-    folders = ["truth"] if options.masks == "none" else BY_CAMERA
-    images = [image_path(folder, camera.name) for folder in folders for camera in cameras]
-    return [*FILES, *(path.as_posix() for path in images)]
-
-
-def _donor(options: Tamper) -> Gaussians | None:
-    """The object to paste."""
+def _edit(options: Tamper) -> Edit | Gaussians:
+    """The edit, or for an incorporation the object to paste."""
     if options.edit != "incorporation":
-        return None
+        return options.edit
     if options.object is None:
         return make_object(seed=options.seed)
     donor = load_ply(options.object, max_bytes=memory_limit(options.memory))

@@ -43,12 +43,9 @@ from gsc_jax.scene import InputError
 
 Command = Locate | Scan | Render | Tamper | Evaluate | Check | Verify | View | Demo
 COMMANDS: dict[str, type] = {kind.__name__.lower(): kind for kind in get_args(Command)}
-ENVIRONMENT = (
-    *(errno.EACCES, errno.EPERM, errno.EROFS),
-    *(errno.ENOSPC, errno.EDQUOT, errno.EFBIG),
-    *(errno.ENAMETOOLONG, errno.ELOOP),
-    *(errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EIO, errno.ESTALE),
-)
+ENVIRONMENT = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+ENVIRONMENT += (errno.ENAMETOOLONG, errno.ELOOP, errno.EMFILE, errno.ENFILE, errno.ENOMEM)
+ENVIRONMENT += (errno.EIO, errno.ESTALE)
 """Numbers of errors of the machine: permissions, a full disk, limits, names, a failing device."""
 
 DESCRIPTION = """\
@@ -215,7 +212,6 @@ def _is_outside(error: OSError, command: Command | None) -> bool:
 
 
 def _paths(command: Command) -> list[Path]:
-    """All paths among the options."""
     given = [value if isinstance(value, tuple) else (value,) for value in vars(command).values()]
     return [value for values in given for value in values if isinstance(value, Path)]
 

@@ -18,19 +18,9 @@ from gsc_jax.scene import Camera, InputError
 
 MODEL_FILES = ("cameras.bin", "cameras.txt", "images.bin", "images.txt")
 EXPECTED = "cameras and images of a COLMAP model, as .bin or as .txt"
-MODELS = {
-    "SIMPLE_PINHOLE": 3,
-    "PINHOLE": 4,
-    "SIMPLE_RADIAL": 4,
-    "RADIAL": 5,
-    "OPENCV": 8,
-    "OPENCV_FISHEYE": 8,
-    "FULL_OPENCV": 12,
-    "FOV": 5,
-    "SIMPLE_RADIAL_FISHEYE": 4,
-    "RADIAL_FISHEYE": 5,
-    "THIN_PRISM_FISHEYE": 12,
-}
+MODELS = {"SIMPLE_PINHOLE": 3, "PINHOLE": 4, "SIMPLE_RADIAL": 4, "RADIAL": 5, "OPENCV": 8}
+MODELS |= {"OPENCV_FISHEYE": 8, "FULL_OPENCV": 12, "FOV": 5, "SIMPLE_RADIAL_FISHEYE": 4}
+MODELS |= {"RADIAL_FISHEYE": 5, "THIN_PRISM_FISHEYE": 12}
 """Number of parameters of the camera models, in the order of their numbers in binary files."""
 BYTES_PER_BYTE = {True: 2, False: 8}
 """Memory per byte of a binary file, and of a text: lines, and the images of the shortest lines."""

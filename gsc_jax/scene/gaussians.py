@@ -118,15 +118,10 @@ def check_shapes(gaussians: Gaussians) -> None:
     """Raise ValueError if shapes do not match, TypeError if the argument is no Gaussians."""
     if not isinstance(gaussians, Gaussians):
         raise TypeError(f"expected Gaussians, as of load_ply, got {type(gaussians).__name__}")
-    count, degrees = len(gaussians), [(degree + 1) ** 2 for degree in range(4)]
-    expected = {
-        "means": [(count, 3)],
-        "log_scales": [(count, 3)],
-        "quats": [(count, 4)],
-        "logit_opacities": [(count,)],
-        "sh": [(count, k, 3) for k in degrees],
-    }
-    for name, shapes in expected.items():
+    count, harmonics = len(gaussians), [((degree + 1) ** 2, 3) for degree in range(4)]
+    columns = {"means": [(3,)], "log_scales": [(3,)], "quats": [(4,)], "logit_opacities": [()]}
+    for name, widths in {**columns, "sh": harmonics}.items():
+        shapes = [(count, *width) for width in widths]
         if (found := np.shape(getattr(gaussians, name))) not in shapes:
             known = " or ".join(map(str, shapes))
             raise ValueError(f"{name} of {count} Gaussians must be {known}, got {found}")

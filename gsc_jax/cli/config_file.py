@@ -51,12 +51,10 @@ class ConfigFile:
         """The file without what depends on its method, if that is another one."""
         if method == self.method:
             return self
-        command = {k: v for k, v in self.command.items() if k not in METHOD_OPTIONS}
-        command["method"] = method
+        kept = {k: v for k, v in self.command.items() if k not in METHOD_OPTIONS}
         shared = {name: getattr(self.estimator, name) for name in SHARED_FIELDS}
-        return ConfigFile(
-            method=method, command=command, estimator=replaced(METHODS[method], shared)
-        )
+        estimator = replaced(METHODS[method], shared)
+        return ConfigFile(method=method, command={**kept, "method": method}, estimator=estimator)
 
 
 def read_config_file(path: str | Path) -> ConfigFile:

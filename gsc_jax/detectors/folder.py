@@ -106,9 +106,8 @@ class FolderDetector:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Assumptions about the levels of the images."""
-        if not self.zero_one:
-            return ()
-        return (f"{self.path}: no level above 1 in any image, read as 0/1 masks",)
+        assumption = f"{self.path}: no level above 1 in any image, read as 0/1 masks"
+        return (assumption,) if self.zero_one else ()
 
     def _matched(self, cameras: Sequence[Camera]) -> set[str]:
         """Names of the cameras that have a mask, each file given to its most exact match."""

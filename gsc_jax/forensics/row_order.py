@@ -70,13 +70,12 @@ def _autocorrelation(means: np.ndarray) -> float:
 def _standardised(gaussians: Gaussians) -> Iterator[np.ndarray]:
     """Yield positions, sizes, opacities and colours in units of their MAD, clipped, (N, D) each."""
     log_scales = np.asarray(gaussians.log_scales)
-    parts = [
+    for part in (
         np.asarray(gaussians.means),
         log_scales.mean(axis=1, keepdims=True),
         np.ptp(log_scales, axis=1)[:, None],
         np.clip(np.asarray(gaussians.logit_opacities)[:, None], -6, 6),
         np.asarray(gaussians.sh)[:, 0],
-    ]
-    for part in parts:
+    ):
         median, mad = median_and_mad(part.astype(np.float32, copy=False))
         yield np.clip((part - median) / (mad + 1e-6), -4, 4).astype(np.float32, copy=False)

@@ -40,17 +40,14 @@ def one_line(
         last, short = first["loc"][-1], f"expected more values, found {shown(found)}"
         return f"{name}: {short if isinstance(last, int) else f'{last!r} is missing'}"
     reasons = dict.fromkeys(
-        "expected an object with keys" if problem["type"] in NO_TABLE else _reason(problem["msg"])
+        "expected an object with keys"
+        if problem["type"] in NO_TABLE
+        else problem["msg"].removeprefix("Value error, ").replace("Input should be", "expected", 1)
         for problem in problems
         if _located(problem["loc"], given)[0] == key
     )
     whole = not key and first["type"] not in NO_TABLE
     return f"{name}: {' or '.join(reasons)}" + ("" if whole else f", found {shown(found)}")
-
-
-def _reason(message: str) -> str:
-    """The message of a pydantic error, reworded for the users of this package."""
-    return message.removeprefix("Value error, ").replace("Input should be", "expected", 1)
 
 
 def shown(value: Any) -> str:

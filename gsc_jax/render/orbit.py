@@ -102,8 +102,7 @@ def scene_extent(gaussians: Gaussians) -> tuple[np.ndarray, float]:
 
 def _directions(n: int, up: np.ndarray, seed: int) -> np.ndarray:
     """Unit vectors from the centre to the cameras, shape (n, 3)."""
-    azimuths = np.random.default_rng(seed).uniform(0, 2 * np.pi)
-    azimuths = azimuths + 2 * np.pi * np.arange(n) / n
+    azimuths = np.random.default_rng(seed).uniform(0, 2 * np.pi) + 2 * np.pi * np.arange(n) / n
     elevations = np.resize(ELEVATIONS, n)
     side = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
     side /= np.linalg.norm(side)

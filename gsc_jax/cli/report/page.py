@@ -73,7 +73,7 @@ def _files(outputs: list[str]) -> list[tuple[str, str]]:
 
 def _tables(report: Mapping[str, Any]) -> dict[str, list[tuple[str, str]]]:
     """Rows of names and values of each table, by caption."""
-    counts = report["counts"]
+    counts, content = report["counts"], "{bytes:,} bytes, SHA-256 {sha256}"
     rows = [(title, f"{counts[name]:,}") for name, title in COUNTS.items()]
     rows += [(f"Left out: {reason}", f"{n:,}") for reason, n in counts["dropped"].items()]
     options = {k: v for k, v in report["command"].items() if v is not False and v not in (None, [])}
@@ -82,17 +82,13 @@ def _tables(report: Mapping[str, Any]) -> dict[str, list[tuple[str, str]]]:
         "Counts": rows,
         "Configuration": _flat(report["config"]),
         "Command": _flat(options),
-        "Inputs": [(path, _digest(**facts)) for path, facts in report["inputs"].items()],
+        "Inputs": [(path, content.format(**facts)) for path, facts in report["inputs"].items()],
         "Versions": _flat(report["versions"]),
     }
 
 
 def _usage(seconds: float, peak_mib: float | None) -> str:
     return f"{seconds:.2f} s" + ("" if peak_mib is None else f", peak {peak_mib:,.0f} MiB")
-
-
-def _digest(bytes: int, sha256: str) -> str:
-    return f"{bytes:,} bytes, SHA-256 {sha256}"
 
 
 def _flat(value: Any, name: str = "") -> list[tuple[str, str]]:

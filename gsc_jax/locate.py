@@ -240,7 +240,6 @@ def _from_views(
 
 
 def _from_attributes(estimator: Estimator, prior: Prior | None, monitor: Monitor) -> _Estimated:
-    """Estimate from the attributes of the Gaussians alone."""
     if not (estimator.uses_prior and isinstance(prior, ForensicEvidence)):
         raise ValueError(
             f"{estimator.name} needs a detector; without one, use method robust with prior=True or "

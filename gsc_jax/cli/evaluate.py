@@ -51,11 +51,8 @@ def run_evaluate(options: Evaluate) -> tuple[list[str], list[str]]:
 
 def _file_and_folder(truth: Sequence[Path]) -> tuple[Path | None, Path | None]:
     """The truth by row, a file, and the truth by view, a folder."""
-    for path in truth:
-        if not path.exists():
-            raise InputError(
-                f"{path}: no such file or folder; give labels.npy or a folder of masks"
-            )
+    for path in (path for path in truth if not path.exists()):
+        raise InputError(f"{path}: no such file or folder; give labels.npy or a folder of masks")
     folders = [path for path in truth if path.is_dir()]
     files = [path for path in truth if path not in folders]
     if not truth or max(len(folders), len(files)) > 1:
@@ -120,7 +117,6 @@ def _true_mask(folder: FolderDetector, camera: Camera, warnings: list[str]) -> n
 
 
 def _read_mask(results: Results, kind: str, camera: Camera, limit: int) -> np.ndarray:
-    """A mask that the run wrote."""
     path = _mask_path(results, kind, camera)
     mask = read_probability(path, zero_one=False, max_bytes=limit) > 0.5
     if mask.shape != (camera.height, camera.width):

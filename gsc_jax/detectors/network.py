@@ -95,7 +95,6 @@ class Network:
         return outputs
 
     def _find_output(self, key: int | str):
-        """Output of the session at a position or with a name."""
         outputs = self._session.get_outputs()
         for position, tensor in enumerate(outputs):
             if key in (position, tensor.name):

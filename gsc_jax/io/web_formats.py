@@ -114,8 +114,6 @@ def read_glb(path: Path, max_bytes: int | None = None) -> Gaussians:
 def _gltf_primitive(
     tree: dict[str, Any], binary: bytes, attributes: Mapping[str, int]
 ) -> Gaussians:
-    """The Gaussians of one primitive of the file."""
-
     def column(name: str) -> np.ndarray:
         return _accessor(tree, binary, tree["accessors"][attributes[name]])
 

@@ -180,13 +180,19 @@ def test_a_view_that_sees_a_fifth_of_the_authentic_class_may_be_inverted():
         assert found.inverted.tolist() == [False, False, inverted]
 
 
-def test_views_that_hardly_see_a_second_edit_count_less_than_for_its_pattern():
-    rates, weights = [HIGH] * 4 + [LOW] * 8, [1] * 4 + [0.1] * 3 + [0] * 5
-    found = roles([LOW] * 12, [HIGH] * 12, rates, weights=[[1] * 12, [1] * 12, weights])
-    assert found.tampered.tolist() == [False, True, False]
-    rates, weights = [HIGH] * 8 + [LOW] * 4, [1] * 8 + [0.1] * 3 + [0]
-    found = roles([LOW] * 12, [HIGH] * 12, rates, weights=[[1] * 12, [1] * 12, weights])
-    assert found.tampered.tolist() == [False, True, True]
+def test_a_part_of_the_edit_that_is_covered_where_it_is_not_flagged_is_no_other_object():
+    for flagged, covered in ((4, 5), (8, 1)):
+        rates = [HIGH] * flagged + [LOW] * (12 - flagged)
+        weights = [1] * flagged + [0.1] * (12 - flagged - covered) + [0] * covered
+        found = roles([LOW] * 12, [HIGH] * 12, rates, weights=[[1] * 12, [1] * 12, weights])
+        assert found.tampered.tolist() == [False, True]
+
+
+def test_views_that_separate_fifteen_percent_of_what_two_classes_show_make_them_two_objects():
+    for share, count in ((0.18, 3), (0.17, 2)):
+        rates, weights = [HIGH] * 4 + [LOW] * 4, [1] * 4 + [share] * 4
+        found = roles([LOW] * 8, [HIGH] * 8, rates, weights=[[1] * 8, [1] * 8, weights])
+        assert len(found.tampered) == count
 
 
 def test_the_scene_probability_is_logistic_with_two_pseudo_views():

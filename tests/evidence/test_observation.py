@@ -38,7 +38,7 @@ def test_a_detector_that_cannot_be_called_is_an_error():
 
 def test_an_error_of_a_detector_names_the_view():
     with pytest.raises(ZeroDivisionError) as caught:
-        observe(SCENE, [CAMERA], lambda image: 1 / 0)
+        observe(SCENE, [CAMERA], lambda _: 1 / 0)
     assert caught.value.__notes__ == ["The detector was shown view 'one'."]
 
 

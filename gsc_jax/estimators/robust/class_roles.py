@@ -19,14 +19,15 @@ from scipy.special import expit
 
 FULL_VIEW = 0.2
 """A view has full weight for a class if it sees at least this share of what the best view sees."""
-CLEAR_VIEW = 0.5
-"""The same share when a class may be a second edit: views that hardly show it say little of it."""
 LEAST_VIEW = 0.2
 """Visibility in [0, 1] above which the rate of a class in a view is used as its pattern."""
 RATE_DIFFERENCE = 0.6
 """A view separates two classes if their rates differ by more."""
 SAME_PATTERN_VIEWS = 1.5
 """Classes that fewer views separate count as one object."""
+SEPARATED_SHARE = 0.15
+"""So do classes that a smaller share of what both show separates: a part of an edit that other
+Gaussians cover in some views is flagged by chance there."""
 NEGLIGIBLE_WEIGHT = 1e-4
 """Share of all weight below which a class is ignored."""
 NEAR_BEST = 0.9
@@ -80,8 +81,8 @@ def assign_roles(
     both (K, V). The options allow inverted masks, and distractors and second edits.
     """
     mass = weights.sum(axis=1)
-    shown_best = weights / np.maximum(weights.max(axis=1, keepdims=True), 1e-30)
-    seen, clear = (np.minimum(1.0, shown_best / share) for share in (FULL_VIEW, CLEAR_VIEW))
+    shown_share = weights / np.maximum(weights.max(axis=1, keepdims=True), 1e-30)
+    seen = np.minimum(1.0, shown_share / FULL_VIEW)
     heaviest = _RateTable(rates=rates, seen=seen).heaviest(mass)
     authentic = _largest(mass, heaviest)
     shown, flagged = (x[heaviest].sum(axis=0) for x in (weights, weights * rates))
@@ -96,8 +97,9 @@ def assign_roles(
     distinct = others & distractors & (table.sharpness >= MIN_SHARPNESS)
     distinct &= table.separating_views(first) >= SAME_PATTERN_VIEWS
     distinct &= table.separating_views(authentic) >= 0.5
-    clearly_flagged = dataclasses.replace(table, seen=clear).flag_frequency
-    often = clearly_flagged > SECOND_EDIT * clearly_flagged[first]
+    both_shown = np.minimum(shown_share, shown_share[first])
+    distinct &= (both_shown * table.differs(first)).sum(1) >= SEPARATED_SHARE * both_shown.sum(1)
+    often = table.flag_frequency > SECOND_EDIT * table.flag_frequency[first]
     second, distractor = np.flatnonzero(distinct & often), np.flatnonzero(distinct & ~often)
     patterns = [
         *table.patterns([authentic], fallback=authentic),
@@ -137,8 +139,11 @@ class _RateTable:
 
     def separating_views(self, other: int) -> np.ndarray:
         """Number of views that separate each class from another one, shape (K,)."""
-        differ = np.abs(self.rates - self.rates[other]) > RATE_DIFFERENCE
-        return (np.minimum(self.seen, self.seen[other]) * differ).sum(axis=1)
+        return (np.minimum(self.seen, self.seen[other]) * self.differs(other)).sum(axis=1)
+
+    def differs(self, other: int) -> np.ndarray:
+        """Which views separate each class from another one, shape (K, V)."""
+        return np.abs(self.rates - self.rates[other]) > RATE_DIFFERENCE
 
     def heaviest(self, mass: np.ndarray) -> np.ndarray:
         """Mask of the classes that share a pattern and together have most weight, (K,) bool."""

@@ -1,9 +1,12 @@
 """The panel of the served viewer: when the splats are sent again."""
 
+import dataclasses
 import threading
 import time
+import types
 from collections.abc import Iterator
 
+import numpy as np
 import pytest
 from results_folder import write_results
 
@@ -25,6 +28,26 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[controls.LayerI
     shown, _ = viewer_contents(read_results(folder), most=10**6)
     with serving(Access(host="localhost", token="token"), port=0) as server:
         yield controls.add_layer_controls(server, shown)
+
+
+def test_each_gaussian_is_in_the_layer_of_its_label_and_score(tmp_path, monkeypatch):
+    write_results(tmp_path / "found")
+    shown, _ = viewer_contents(read_results(tmp_path / "found"), most=10**6)
+    score = np.random.default_rng(0).random(len(shown.score), np.float32)
+    score[:3] = 0, shown.threshold, 1
+    layers = {}
+    node = types.SimpleNamespace(visible=True)
+    monkeypatch.setattr(controls, "add_splats", lambda _, *of: layers.update([of]) or node)
+    controls.add_layers(None, dataclasses.replace(shown, score=score))  # type: ignore[arg-type]
+    assert len(layers.pop("/heat map").centers) == len(score)
+    assert not node.visible
+    assert list(layers)[:2] == ["/tampered/score 0.5 to 0.75", "/tampered/score 0.75 to 0.9"]
+    for name, splats in layers.items():
+        low, high = map(float, name.partition("score ")[2].split(" to "))
+        inside = (score >= low) & ((score < high) | (high == 1))
+        inside &= (score > shown.threshold) == name.startswith("/tampered")
+        np.testing.assert_array_equal(splats.centers, shown.splats.centers[inside])
+    assert sum(len(splats.centers) for splats in layers.values()) == len(score)
 
 
 def test_threshold_is_sent_once_and_only_if_it_matters(

@@ -17,6 +17,12 @@ from matplotlib import pyplot as plt
 COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#999999")
 """Okabe and Ito's palette."""
 MARKERS = "osD^vP*Xph<>8Hd"
+BLACK = "#000000"
+"""The colour of `robust`, which is drawn in front and wider."""
+FAMILIES = dict.fromkeys(("inverse projection", "mode vote", "SAGD vote"), "votes")
+"""Families of methods whose names do not begin with the same word."""
+DASHES = "-", "--", ":", "-."
+"""Line styles of the members of a family, which share a colour."""
 
 
 def save(figure: Any, path: Path) -> None:
@@ -45,6 +51,21 @@ def grid(rows: Frame, path: Path, *, panels: str = "edit", across: str = "regime
     save(figure, path)
 
 
+def line_styles(names: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """A colour per family of methods, such as GS-Checker, and a line style per member."""
+    members: dict[str, list[str]] = {}
+    for name in names:
+        members.setdefault(FAMILIES.get(name, name.split(",")[0].split(" ")[0]), []).append(name)
+    colors = dict(zip(members, [c for c in COLORS if c != BLACK], strict=False))
+    return {
+        name: {"color": BLACK, "lw": 2.6, "zorder": 3}
+        if name == "robust"
+        else {"color": colors[family], "ls": dash, "lw": 1.3}
+        for family, own in members.items()
+        for name, dash in zip(own, DASHES, strict=False)
+    }
+
+
 def curves(
     panels: Mapping[str, Frame],
     path: Path,
@@ -53,9 +74,13 @@ def curves(
     labels: tuple[str, str],
     y: str = "f1",
     columns: int = 3,
+    crosses: Mapping[tuple[str, str], tuple[float, float]] | None = None,
 ) -> None:
-    """A score against a number: a panel per title, a line per method, its spread over seeds."""
-    names = pd.concat(panels.values()).method.unique()
+    """A score against a number: a panel per title, a line per method, its spread over seeds.
+
+    A cross marks a point of the curve of a method, by title and method.
+    """
+    styles = line_styles(pd.concat(panels.values()).method.unique())
     count = -(-len(panels) // columns)
     size = (4.0 * min(columns, len(panels)), 3.0 * count + 0.7)
     figure, axes = plt.subplots(
@@ -64,18 +89,20 @@ def curves(
     for axis in axes.flat[len(panels) :]:
         axis.set_visible(False)
     for axis, (title, rows) in zip(axes.flat, panels.items(), strict=False):
-        for k, name in enumerate(names):
+        for name, style in styles.items():
             groups = where(rows, method=name).groupby(x)
             middle = groups[y].mean()
             around = np.array([spread(group, y) for _, group in groups])
-            color, style = COLORS[k % len(COLORS)], "-" if k < len(COLORS) else "--"
-            axis.plot(middle.index, middle, style, marker=MARKERS[k], ms=4, color=color, label=name)
-            axis.fill_between(
-                middle.index, middle - around, middle + around, color=color, alpha=0.12
-            )
+            axis.plot(middle.index, middle, marker="o", ms=3, label=name, **style)
+            low, high = middle - around, middle + around
+            axis.fill_between(middle.index, low, high, color=style["color"], alpha=0.12, lw=0)
+            if point := (crosses or {}).get((title, name)):
+                axis.plot(*point, "X", ms=8, mec="white", color=style["color"], zorder=4)
         axis.set(title=title, xlabel=labels[0], ylabel=labels[1], ylim=(-0.03, 1.03))
         axis.grid(visible=True, alpha=0.25)
-    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    figure.legend(
+        *axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4, handlelength=4
+    )
     save(figure, path)
 
 
@@ -91,8 +118,8 @@ def trade_off(
     setting. Variants, such as "X, rendered", have the colour of X.
     """
     bases = dict.fromkeys(name.split(",")[0] for name in next(iter(fronts.values())))
-    palette = dict(zip(bases, [c for c in COLORS if c != "#000000"], strict=False))
-    palette["robust"] = "#000000"
+    palette = dict(zip(bases, [c for c in COLORS if c != BLACK], strict=False))
+    palette["robust"] = BLACK
     figure, axes = plt.subplots(2, 2, figsize=(12.5, 8.5), sharey=True, layout="constrained")
     for axis, ((x, y), curves) in zip(axes.T.flat, fronts.items(), strict=True):
         best = pd.concat(curves.values()).sort_values([x, y], ascending=[True, False])

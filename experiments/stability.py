@@ -10,6 +10,7 @@ out. The degenerate cases are of the made room.
 
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 
 import charts
 import jax
@@ -64,16 +65,17 @@ def rows_of(case: Case, strengths: Sequence[float]) -> Iterator[Row]:
                 yield {**row, "regime": failure, "strength": float(row["regime"])}
 
 
-def breaks_at(rows: Frame, unit: str) -> str:
-    """Amount at which F1 falls below half of that without failures, interpolated."""
+def breaking_point(rows: Frame) -> tuple[float, float] | None:
+    """Amount at which F1 falls below half of that without failures, interpolated, and that half."""
     f1 = rows.groupby("strength").f1.mean()
     strengths, values = f1.index.to_numpy(), f1.to_numpy()
-    below = np.flatnonzero(values < values[0] / 2)
+    half = values[0] / 2
+    below = np.flatnonzero(values < half)
     if not below.size:
-        return "holds"
+        return None
     k = below[0]
-    part = (values[k - 1] - values[0] / 2) / (values[k - 1] - values[k])
-    return f"{strengths[k - 1] + part * (strengths[k] - strengths[k - 1]):.2g} {unit}"
+    part = (values[k - 1] - half) / (values[k - 1] - values[k])
+    return float(strengths[k - 1] + part * (strengths[k] - strengths[k - 1])), float(half)
 
 
 def degenerate(case: Case) -> Iterator[tuple[Case, np.ndarray]]:
@@ -133,7 +135,10 @@ def breaking_table(rows: Frame) -> str:
     lines = []
     for name in COMPARED:
         own = where(rows, method=name)
-        cells = [breaks_at(where(own, regime=f), unit) for f, (_, _, unit) in FAILURES.items()]
+        points = [breaking_point(where(own, regime=failure)) for failure in FAILURES]
+        units = [unit for _, _, unit in FAILURES.values()]
+        pairs = zip(points, units, strict=True)
+        cells = [f"{point[0]:.2g} {unit}" if point else "holds" for point, unit in pairs]
         lines.append([name, f"{where(own, strength=0.0).f1.mean():.2f}", *cells])
     return markdown(["method", "F1 without failures", *FAILURES], lines)
 
@@ -153,8 +158,19 @@ def main(args: FewArgs) -> None:
     )
     print(text)
     write_section(args.out / "results.md", "stability", text)
+    draw(rows, args.out / "stability.png")
+
+
+def draw(rows: Frame, path: Path) -> None:
+    """Draw a panel per failure, with a cross where F1 falls below half of that without failures."""
     panels = {f"{f}, {unit}": where(rows, regime=f) for f, (_, _, unit) in FAILURES.items()}
-    charts.curves(panels, args.out / "stability.png", x="strength", labels=("strength", "F1"))
+    points = {
+        (title, name): breaking_point(where(own, method=name))
+        for title, own in panels.items()
+        for name in COMPARED
+    }
+    crosses = {key: point for key, point in points.items() if point}
+    charts.curves(panels, path, x="strength", labels=("strength", "F1"), crosses=crosses)
 
 
 if __name__ == "__main__":

@@ -130,13 +130,13 @@ def locate(
     estimator, monitor = configured(method, config), monitor or Monitor()
     given, store = store, store or ArrayStore()
     cameras = check_cameras(cameras)
+    detector = None if detector is None else as_detector(detector, cameras)
     warnings = [*check_views(gaussians, cameras, near=estimator.near), *_unusable(gaussians)]
     gaussians = jax.tree.map(jnp.asarray, gaussians)
     known = _prior(gaussians, estimator, prior, monitor)  # attributes -> prior
     if detector is None:  # prior -> decide
         found = _from_attributes(estimator, known, monitor)
     else:  # cameras -> render -> detect -> vote and lift -> optimise -> decide
-        detector = as_detector(detector, cameras)
         settings = {"near": estimator.near, "store": store, "monitor": monitor}
         observed = functools.partial(observe, gaussians, detector=detector, **settings)
         found = _from_views(observed, cameras, detector, estimator, known, monitor)

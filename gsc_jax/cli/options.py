@@ -168,7 +168,7 @@ class View:
         port: Port of the server.
         host: Address of the server; 0.0.0.0 lets other machines connect, if they are given the
             printed address, which contains a random key.
-        most: Maximum number of Gaussians: the tampered ones, then the largest and most opaque ones.
+        most: Maximum number of Gaussians: the largest and most opaque ones, half of them tampered.
         no_browser: Do not open the page in a browser, only print its address.
         memory: Memory in GiB that may be used; a file that expands to more is refused.
     """

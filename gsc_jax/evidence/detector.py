@@ -165,7 +165,7 @@ def as_detector(detector: Any, cameras: Sequence[Camera] = ()) -> Detector:
     if isinstance(detector, str) or not hasattr(detector, "__iter__"):
         raise ValueError(
             "detector must be a detector, a function of the image, or probability maps by camera "
-            f"name, got {type(detector).__name__}"
+            f"name, got {type(detector).__name__}; for a folder of masks, FolderDetector(path)"
         )
     maps = list(detector)
     if len(maps) != len(cameras):

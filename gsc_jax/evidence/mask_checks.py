@@ -40,6 +40,11 @@ def properties(image: np.ndarray) -> dict[str, np.ndarray]:
 def doubts(observation: Observation, *, near: float = NEAR) -> list[str]:
     """Reasons why the masks of an observation are no evidence of an edit, as sentences."""
     found = []
+    if same_pixels(observation):
+        found.append(
+            "The masks flag the same pixels in every view, though the views differ. They are no "
+            "evidence of an edit; use another detector."
+        )
     if name := followed_property(observation, near):
         found.append(
             f"The masks follow the {name} of the images: one threshold on it separates what they "
@@ -53,6 +58,15 @@ def doubts(observation: Observation, *, near: float = NEAR) -> list[str]:
             "cameras and of this scene?"
         )
     return found
+
+
+def same_pixels(observation: Observation) -> bool:
+    """Whether at least three views from different places have one mask, which flags a part."""
+    centers = np.stack([np.asarray(camera.center) for camera in observation.cameras])
+    masks = (np.asarray(observation.masks[camera.name], bool) for camera in observation.cameras)
+    first = next(masks)
+    differ = len(centers) > 2 and np.ptp(centers, axis=0).max() > 0
+    return differ and 0 < first.mean() < 1 and all(np.array_equal(first, mask) for mask in masks)
 
 
 def followed_property(observation: Observation, near: float) -> str | None:

@@ -44,6 +44,18 @@ def test_true_masks_are_evidence():
     assert locate(ROOM, CAMERAS, truth(), prior=False).outcome == "evidence"
 
 
+def test_the_same_mask_in_every_view_is_no_evidence():
+    mask = np.zeros((CAMERAS[0].height, CAMERAS[0].width), bool)
+    mask[10:20, 10:20] = True
+    same = {camera.name: mask for camera in CAMERAS}
+    assert any("the same pixels" in text for text in doubts(observe(ROOM, CAMERAS, same)))
+    for other in (np.zeros_like(mask), ~mask):
+        same[CAMERAS[1].name] = other
+        assert not any("the same pixels" in text for text in doubts(observe(ROOM, CAMERAS, same)))
+    full = dict.fromkeys(same, np.ones_like(mask))
+    assert not any("the same pixels" in text for text in doubts(observe(ROOM, CAMERAS, full)))
+
+
 def test_masks_at_random_places_agree_by_chance_only():
     rng, masks = np.random.default_rng(0), {}
     for camera in CAMERAS:

@@ -26,7 +26,7 @@ COUNTS = {
     "gaussians": "Gaussians that can be rendered",
     "seen": "Visible Gaussians",
     "unseen": "Gaussians that no view shows",
-    "tampered": "Gaussians labelled as tampered",
+    "tampered": "Labelled Gaussians",
 }
 """Title of each entry of `counts` in result.json."""
 

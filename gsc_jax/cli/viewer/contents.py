@@ -101,11 +101,8 @@ class Contents:
         return layer_colours(self.splats, self.score, layer, threshold, tint=self.tint)
 
     def with_most(self, count: int) -> "Contents":
-        """The same with the largest `count` splats; the largest labelled ones are half of them."""
-        labelled = np.flatnonzero(self.score > self.threshold)
-        own = largest(self.splats.take(labelled), count // 2, first=np.zeros(len(labelled), bool))
-        first = np.isin(np.arange(len(self.score)), labelled[own])
-        rows = largest(self.splats, count, first=first)
+        """The same with at most `count` splats."""
+        rows = largest(self.splats, count, labelled=self.score > self.threshold)
         parts = {"score": self.score[rows], "rows": self.rows[rows]}
         return dataclasses.replace(self, splats=self.splats.take(rows), **parts)
 
@@ -121,7 +118,7 @@ def viewer_contents(
 ) -> tuple[Contents, list[str]]:
     """Contents with at most `most` Gaussians, and notes for the user."""
     gaussians = results.scene.gaussians
-    rows = largest(gaussians, most, first=results.labels)
+    rows = largest(gaussians, most, labelled=results.labels)
     chosen = splats(gaussians.take(rows))
     means = np.asarray(gaussians.means)
     sample = means[np.linspace(0, len(means) - 1, min(len(means), MAX_DEPTH_SAMPLES)).astype(int)]
@@ -191,6 +188,6 @@ def _omission(results: Results, rows: np.ndarray) -> list[str]:
         return []
     tampered = int(results.labels.sum() - results.labels[rows].sum())
     return [
-        f"shows {len(rows):,} of {len(results.labels):,} Gaussians: the {omitted:,} of smallest "
-        f"opacity times area are omitted ({tampered:,} of them tampered); --most N shows more"
+        f"shows {len(rows):,} of {len(results.labels):,} Gaussians, those of largest opacity times "
+        f"area; {tampered:,} of the {omitted:,} omitted are tampered; --most N shows more"
     ]

@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 
 TITLE_END = "gsc-jax</title>"
 """In the title of every written page."""
-WITHOUT_GPU = 10_000
-"""Gaussians that a written page shows at first in a browser without a graphics card."""
+WITHOUT_GPU = 10_000, 40_000
+"""Gaussians of a written page in a browser without a graphics card: at first, and on request."""
 ALL_ADDRESSES = ("0.0.0.0", "::")
 """Hosts that stand for every address of this machine."""
 
@@ -82,7 +82,8 @@ def run_view(
 def write_page(path: Path, contents: Contents) -> str:
     """Write a page that needs neither server nor network, and describe it in a line."""
     refuse_foreign_file(path, TITLE_END)
-    counts = sorted({len(contents.score), min(len(contents.score), WITHOUT_GPU)})
+    total = len(contents.score)
+    counts = [*(count for count in WITHOUT_GPU if count < total), total]
     html = viewer_page({n: _client(contents.with_most(n)) for n in counts}, contents)
     with atomic(path) as temporary:
         temporary.write_text(html, encoding="utf-8")

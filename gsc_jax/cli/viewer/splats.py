@@ -60,16 +60,19 @@ def splats(gaussians: Gaussians) -> Splats:
     )
 
 
-def largest(splats: Gaussians | Splats, count: int, *, first: np.ndarray) -> np.ndarray:
+def largest(splats: Gaussians | Splats, count: int, *, labelled: np.ndarray) -> np.ndarray:
     """Rows of the `count` splats of largest opacity times area, ascending, at most all.
 
-    Those of `first`, (N,) bool, precede all others unless they are invisible.
+    Half of them are the largest visible ones of those that are `labelled`, (N,) bool, so that the
+    edit and what surrounds it are shown.
     """
-    if count >= len(first):
-        return np.arange(len(first))
+    if count >= len(labelled):
+        return np.arange(len(labelled))
     axes = np.sort(np.asarray(splats.scales, np.float64), axis=1)
-    sizes = np.ravel(splats.opacities) * axes[:, 1] * axes[:, 2]
-    return np.sort(np.lexsort((-sizes, ~(first & (sizes > 0))))[:count])
+    order = np.argsort(-np.ravel(splats.opacities) * axes[:, 1] * axes[:, 2], kind="stable")
+    first = order[labelled[order]][: count // 2]
+    others = order[~np.isin(order, first)]
+    return np.sort(np.concatenate([first, others[: count - len(first)]]))
 
 
 def heat(score: Array) -> np.ndarray:

@@ -169,7 +169,7 @@ class TestWrittenPage:
             shown.browser.execute_cdp_cmd(run_before.replace("add", "remove"), script)
 
     def test_without_a_graphics_card_few_gaussians_come_first(self, shown, tmp_path, monkeypatch):
-        monkeypatch.setattr("gsc_jax.cli.viewer.server.WITHOUT_GPU", 300)
+        monkeypatch.setattr("gsc_jax.cli.viewer.server.WITHOUT_GPU", (300, 5000))
         write_page(tmp_path / "page.html", shown.contents)
         shown.open((tmp_path / "page.html").as_uri())
         header, count = (shown.browser.find_element(By.TAG_NAME, "header"), "300 Gaussians")

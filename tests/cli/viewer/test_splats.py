@@ -57,14 +57,18 @@ class TestSplats:
         sizes = np.asarray(scene.opacities) * axes[:, 1] * axes[:, 2]
         expected = np.sort(np.argsort(-sizes)[:count])
         none = np.zeros(20, bool)
-        np.testing.assert_array_equal(largest(scene, count, first=none), expected)
+        np.testing.assert_array_equal(largest(scene, count, labelled=none), expected)
 
     @given(st.integers(1, 20))
-    def test_tampered_gaussians_precede_large_ones(self, count):
+    def test_half_are_the_largest_labelled_ones_and_the_rest_the_largest_others(self, count):
         scene = random_scene(20)
-        first = np.arange(20) % 4 == 0
-        rows = largest(scene, count, first=first)
-        assert first[rows].sum() == min(count, first.sum())
+        labelled = np.arange(20) % 4 == 0
+        axes = np.sort(np.asarray(scene.scales), axis=1)
+        order = np.argsort(-np.asarray(scene.opacities) * axes[:, 1] * axes[:, 2])
+        first = [row for row in order if labelled[row]][: count // 2]
+        rest = [row for row in order if row not in first][: count - len(first)]
+        rows = largest(scene, count, labelled=labelled)
+        np.testing.assert_array_equal(rows, sorted([*first, *rest]))
 
 
 class TestLayerColours:

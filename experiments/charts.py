@@ -19,7 +19,9 @@ COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#00
 MARKERS = "osD^vP*Xph<>8Hd"
 BLACK = "#000000"
 """The colour of `robust`, which is drawn in front and wider."""
-FAMILIES = dict.fromkeys(("inverse projection", "mode vote", "SAGD vote"), "votes")
+FAMILIES: Mapping[str, str] = dict.fromkeys(
+    ("inverse projection", "mode vote", "SAGD vote"), "votes"
+)
 """Families of methods whose names do not begin with the same word."""
 DASHES = "-", "--", ":", "-."
 """Line styles of the members of a family, which share a colour."""

@@ -1,4 +1,5 @@
-"""Are masks evidence at all? Masks that a property of the image explains, or that no region does.
+"""Are masks evidence at all? Not if a property of the image explains them, or no region does, or
+if all are the same.
 
 A detector that thresholds the brightness is consistent over the views like a good one, since what
 it flags is a region of the scene. False blobs at random places are not.

@@ -63,8 +63,8 @@ def splats(gaussians: Gaussians) -> Splats:
 def largest(splats: Gaussians | Splats, count: int, *, labelled: np.ndarray) -> np.ndarray:
     """Rows of the `count` splats of largest opacity times area, ascending, at most all.
 
-    Half of them are the largest visible ones of those that are `labelled`, (N,) bool, so that the
-    edit and what surrounds it are shown.
+    Half of them are the largest of those that are `labelled`, (N,) bool, so that the edit and what
+    surrounds it are shown.
     """
     if count >= len(labelled):
         return np.arange(len(labelled))

@@ -3,7 +3,7 @@
 const HEIGHT = 40, AROUND = 10;
 const [ID, PROBABILITY, SHARE, GAUSSIANS, BYTES, SECONDS, TRACES, KIND, ERROR, REPORT, COPY, OUTCOME] = Array(12).keys();
 const all = JSON.parse(document.getElementById("data").textContent);
-const words = all.map(row => [row[ID], row[OUTCOME], row[TRACES], row[KIND], row[ERROR], row[COPY]].join(" ").toLowerCase());
+const words = all.map(row => [row[ID], "outcome:" + row[OUTCOME], row[TRACES], row[KIND], row[ERROR], row[COPY]].join(" ").toLowerCase());
 const box = document.getElementById("box"), body = box.querySelector("tbody");
 const filter = document.getElementById("filter"), shown = document.getElementById("shown");
 let order = [], sorted = PROBABILITY, descending = true;
@@ -16,7 +16,7 @@ function texts(entry) {
   const labelled = entry[SHARE] === null ? "" : fixed(100 * entry[SHARE], 2) + " %";
   const error = entry[KIND] ? entry[KIND] + ": " + entry[ERROR] : entry[COPY] ? "copy of " + entry[COPY] : "";
   const numbers = [whole(entry[GAUSSIANS]), whole(entry[BYTES]), fixed(entry[SECONDS], 1)];
-  const probability = `${fixed(entry[PROBABILITY], 3)} ${entry[OUTCOME] ?? ""}`;
+  const probability = `${fixed(entry[PROBABILITY], 3)} ${entry[OUTCOME] ?? ""}`.trim();
   return [entry[ID], probability, labelled, ...numbers, entry[TRACES] ?? "", error];
 }
 

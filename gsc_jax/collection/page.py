@@ -21,6 +21,7 @@ def collection_page(rows: Sequence[Row]) -> str:
     """
     probabilities = [p for row in rows if (p := row["scene_probability"]) is not None]
     outcomes = Counter(map(outcome, probabilities))
+    names = "evidence", "inconclusive", "none"
     bins = Counter(min(int(10 * probability), 9) for probability in probabilities)
     return complete_page(
         "gsc_jax.collection",
@@ -28,7 +29,7 @@ def collection_page(rows: Sequence[Row]) -> str:
         mark=MARK,
         count=len(rows),
         edited=outcomes["evidence"],
-        outcomes=outcomes.most_common(),
+        outcomes=[(f"outcome:{name}", outcomes[name]) for name in names],
         bins=[bins[index] for index in range(10)],
         errors=Counter(row["error_class"] for row in rows if row["error_class"]).most_common(),
         traces=Counter(name for row in rows for name in row["traces"] or ()).most_common(),

@@ -1,5 +1,4 @@
-"""Are masks evidence at all? Not if a property of the image explains them, or no region does, or
-if all are the same.
+"""Are masks evidence? Not if all are the same, a property of the images or no region explains them.
 
 A detector that thresholds the brightness is consistent over the views like a good one, since what
 it flags is a region of the scene. False blobs at random places are not.

@@ -70,7 +70,7 @@ def test_rows_are_sorted_and_filtered(browser, tmp_path):
     browser.find_element(By.CSS_SELECTOR, "[data-filter=InputError]").click()
     assert shown(browser) == "400 shown"
     assert column(browser, 7)[0] == f"InputError: {ERROR}", "an error is text and never markup"
-    browser.find_element(By.CSS_SELECTOR, "[data-filter=inconclusive]").click()
+    browser.find_element(By.CSS_SELECTOR, "[data-filter='outcome:inconclusive']").click()
     unclear = sum(0.35 <= (row["scene_probability"] or 0) < 0.65 for row in rows)
     assert shown(browser) == f"{unclear} shown"
     assert all("inconclusive" in text for text in column(browser, 1))

@@ -21,7 +21,7 @@ STEPS = {"previous": -1, "here": 0, "next": 1}
 AT_THRESHOLD: tuple[Layer, ...] = ("result", "tampered only", "authentic only")
 """Layers that depend on the threshold."""
 SCORES = (0.0, 0.1, 0.25, 0.5, 0.75, 0.9, 1.0)
-"""Scores that limit the nodes of a written page, which has no slider."""
+"""Bounds of the scores of the layers of a written page, which has no slider."""
 SELECTED = np.array([1.0, 0.95, 0.2], np.float32)
 
 

@@ -63,14 +63,15 @@ def splats(gaussians: Gaussians) -> Splats:
 def largest(splats: Gaussians | Splats, count: int, *, labelled: np.ndarray) -> np.ndarray:
     """Rows of the `count` splats of largest opacity times area, ascending, at most all.
 
-    Half of them are the largest of those that are `labelled`, (N,) bool, so that the edit and what
-    surrounds it are shown.
+    At least half are visible ones that are `labelled`, (N,) bool, if there are so many, so that the
+    edit and what surrounds it are shown.
     """
     if count >= len(labelled):
         return np.arange(len(labelled))
     axes = np.sort(np.asarray(splats.scales, np.float64), axis=1)
-    order = np.argsort(-np.ravel(splats.opacities) * axes[:, 1] * axes[:, 2], kind="stable")
-    first = order[labelled[order]][: count // 2]
+    sizes = np.ravel(splats.opacities) * axes[:, 1] * axes[:, 2]
+    order = np.argsort(-sizes, kind="stable")
+    first = order[(labelled & (sizes > 0))[order]][: count // 2]
     others = order[~np.isin(order, first)]
     return np.sort(np.concatenate([first, others[: count - len(first)]]))
 

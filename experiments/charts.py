@@ -24,7 +24,7 @@ FAMILIES: Mapping[str, str] = dict.fromkeys(
 )
 """Families of methods whose names do not begin with the same word."""
 DASHES = "-", "--", ":", "-."
-"""Line styles of the members of a family, which share a colour."""
+"""Line styles that tell the methods of one colour apart."""
 
 
 def save(figure: Any, path: Path) -> None:
@@ -54,7 +54,11 @@ def grid(rows: Frame, path: Path, *, panels: str = "edit", across: str = "regime
 
 
 def line_styles(names: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """A colour per family of methods, such as GS-Checker, and a line style per member."""
+    """Line options of Matplotlib for each method.
+
+    The methods of a family, such as the variants of GS-Checker, have one colour, and each of them
+    another line style.
+    """
     members: dict[str, list[str]] = {}
     for name in names:
         members.setdefault(FAMILIES.get(name, name.split(",")[0].split(" ")[0]), []).append(name)

@@ -66,7 +66,10 @@ def rows_of(case: Case, strengths: Sequence[float]) -> Iterator[Row]:
 
 
 def breaking_point(rows: Frame) -> tuple[float, float] | None:
-    """Amount at which F1 falls below half of that without failures, interpolated, and that half."""
+    """Interpolated strength of a failure at which the mean F1 is half of that at strength 0.
+
+    The strength and this F1; None if F1 never falls below it.
+    """
     f1 = rows.groupby("strength").f1.mean()
     strengths, values = f1.index.to_numpy(), f1.to_numpy()
     half = values[0] / 2

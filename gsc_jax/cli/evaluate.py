@@ -51,8 +51,10 @@ def run_evaluate(options: Evaluate) -> tuple[list[str], list[str]]:
 
 def _file_and_folder(truth: Sequence[Path]) -> tuple[Path | None, Path | None]:
     """The truth by row, a file, and the truth by view, a folder."""
-    for path in (path for path in truth if not path.exists()):
-        raise InputError(f"{path}: no such file or folder; give labels.npy or a folder of masks")
+    for path in truth:
+        if not path.exists():
+            reason = "no such file or folder; give labels.npy or a folder of masks"
+            raise InputError(f"{path}: {reason}")
     folders = [path for path in truth if path.is_dir()]
     files = [path for path in truth if path not in folders]
     if not truth or max(len(folders), len(files)) > 1:

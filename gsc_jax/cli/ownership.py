@@ -99,10 +99,11 @@ def has_mark(path: Path, mark: str) -> bool:
 
 def refuse_links(out: Path, places: Sequence[Path]) -> None:
     """Raise InputError for a link among these places in a folder of results."""
-    for place in filter(Path.is_symlink, places):
-        raise InputError(
-            f"{place}: is a link, and results are written inside {out} only; remove the link"
-        )
+    for place in places:
+        if place.is_symlink():
+            raise InputError(
+                f"{place}: is a link, and results are written inside {out} only; remove the link"
+            )
 
 
 def refuse_blocked(out: Path, names: Sequence[str]) -> None:

@@ -52,7 +52,7 @@ class _Report(BaseModel):
     verdict: Share | None = None
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class Results:
     """A folder of results.
 
@@ -98,8 +98,14 @@ def read_results(folder: str | Path, *, max_bytes: int | None = None) -> Results
     ):
         if not same:
             raise InputError(f"{folder / name}: result.json is of a different run; {AGAIN}")
-    tamper, labels = tamper.astype(np.float32), labels.astype(bool)
-    return Results(folder, report, scene, tamper, labels, cameras)
+    return Results(
+        folder=folder,
+        report=report,
+        scene=scene,
+        tamper=tamper.astype(np.float32),
+        labels=labels.astype(bool),
+        cameras=cameras,
+    )
 
 
 def result_file(folder: Path, name: str | Path) -> Path:

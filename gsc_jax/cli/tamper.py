@@ -70,7 +70,7 @@ def _check(options: Tamper) -> None:
 
 
 def _edit(options: Tamper) -> Edit | Gaussians:
-    """The edit, or for an incorporation the object to paste."""
+    """The kind of edit; for an incorporation, the object that is pasted."""
     if options.edit != "incorporation":
         return options.edit
     if options.object is None:

@@ -1,4 +1,7 @@
-"""Are masks evidence? Not if all are the same, a property of the images or no region explains them.
+"""Checks whether masks can be evidence of an edit, and reasons why they are none.
+
+Masks are none if all are the same, if they follow a simple property of the images such as the
+brightness, or if no region of the scene explains them.
 
 A detector that thresholds the brightness is consistent over the views like a good one, since what
 it flags is a region of the scene. False blobs at random places are not.
@@ -61,7 +64,10 @@ def doubts(observation: Observation, *, near: float = NEAR) -> list[str]:
 
 
 def same_pixels(observation: Observation) -> bool:
-    """Whether at least three views from different places have one mask, which flags a part."""
+    """Whether all of at least three masks are the same, although the cameras are not at one place.
+
+    Empty masks and those that flag everything do not count.
+    """
     centers = np.stack([np.asarray(camera.center) for camera in observation.cameras])
     masks = (np.asarray(observation.masks[camera.name], bool) for camera in observation.cameras)
     first = next(masks)

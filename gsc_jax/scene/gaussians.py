@@ -115,7 +115,7 @@ def filled_up(gaussians: Gaussians) -> Gaussians:
 
 
 def check_shapes(gaussians: Gaussians) -> None:
-    """Raise ValueError if shapes do not match, TypeError if the argument is no Gaussians."""
+    """Raise ValueError if shapes do not match, TypeError for another type."""
     if not isinstance(gaussians, Gaussians):
         raise TypeError(f"expected Gaussians, as of load_ply, got {type(gaussians).__name__}")
     count, harmonics = len(gaussians), [((degree + 1) ** 2, 3) for degree in range(4)]

@@ -1,5 +1,6 @@
 """Masks that are no evidence: of a nonsense detector, of chance; and masks that are."""
 
+import dataclasses
 import functools
 
 import numpy as np
@@ -52,6 +53,12 @@ def test_the_same_mask_in_every_view_is_no_evidence():
     for other in (np.zeros_like(mask), ~mask):
         same[CAMERAS[1].name] = other
         assert not any("the same pixels" in text for text in doubts(observe(ROOM, CAMERAS, same)))
+    equal = dict.fromkeys(same, mask)
+    names = list(same)[:3]
+    placed = [dataclasses.replace(CAMERAS[0], name=name) for name in names]
+    for cameras in (CAMERAS[:2], placed):  # two views say little, and those of one place are equal
+        found = doubts(observe(ROOM, cameras, {c.name: equal[c.name] for c in cameras}))
+        assert not any("the same pixels" in text for text in found)
     full = dict.fromkeys(same, np.ones_like(mask))
     assert not any("the same pixels" in text for text in doubts(observe(ROOM, CAMERAS, full)))
 

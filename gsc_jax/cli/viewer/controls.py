@@ -21,7 +21,7 @@ STEPS = {"previous": -1, "here": 0, "next": 1}
 AT_THRESHOLD: tuple[Layer, ...] = ("result", "tampered only", "authentic only")
 """Layers that depend on the threshold."""
 SCORES = (0.0, 0.1, 0.25, 0.5, 0.75, 0.9, 1.0)
-"""Bounds of the scores of the layers of a written page, which has no slider."""
+"""A written page has a layer for the scores between each two of these, in place of a slider."""
 SELECTED = np.array([1.0, 0.95, 0.2], np.float32)
 
 
@@ -101,7 +101,7 @@ def set_first_view(server: "viser.ViserServer", contents: Contents) -> None:
 
 
 def add_layers(server: "viser.ViserServer", contents: Contents) -> None:
-    """Add nodes for tampered and authentic splats by score, and the heat map, which is hidden."""
+    """Add layers of the tampered and the authentic splats, and a heat map, hidden at first."""
     tampered, splats = contents.score > contents.threshold, contents.splats
     band = np.digitize(contents.score, SCORES[1:-1])
     result, heat_map = (

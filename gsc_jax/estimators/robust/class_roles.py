@@ -26,8 +26,8 @@ RATE_DIFFERENCE = 0.6
 SAME_PATTERN_VIEWS = 1.5
 """Classes that fewer views separate count as one object."""
 SEPARATED_SHARE = 0.15
-"""Two classes are also one object if the views that separate them have a smaller share of the
-weight that is visible of both: a covered part of an edit is flagged by chance."""
+"""Two classes are also one object if less than this share of what both show is in views that
+separate them: views in which a part of an edit is covered flag that part by chance."""
 NEGLIGIBLE_WEIGHT = 1e-4
 """Share of all weight below which a class is ignored."""
 NEAR_BEST = 0.9

@@ -116,9 +116,11 @@ def bin_view(splats: Splats, camera: Camera, *, lockstep: int | None = None) -> 
         lockstep = cpu if jax.default_backend() == "cpu" else tiles
     lockstep = min(lockstep, tiles)
     padded = bucket(-(-tiles // lockstep)) * lockstep
+    listed = len(lists.ids)  # padded to a power of four, so that the sizes of views seldom differ
+    size = 4 ** max(6, ((listed - 1).bit_length() + 1) // 2)
     return View(
         splats=table,
-        ids=jnp.asarray(_padded(lists.ids)),
+        ids=jnp.asarray(np.pad(lists.ids, (0, size - listed))),
         columns=jnp.asarray(-(-camera.width // TILE), jnp.int32),
         width=camera.width,
         height=camera.height,
@@ -149,14 +151,6 @@ def _longest_first(starts: np.ndarray, counts: np.ndarray, padded: int) -> dict[
         "starts": jnp.asarray(np.pad(starts[order], padding)),
         "counts": jnp.asarray(np.pad(counts[order], padding)),
     }
-
-
-def _padded(ids: np.ndarray) -> np.ndarray:
-    """Pad to a power of four, so that the sizes of two views seldom differ."""
-    size = 1 << 12
-    while size < len(ids):
-        size *= 4
-    return np.pad(ids, (0, size - len(ids)))
 
 
 @jax.jit

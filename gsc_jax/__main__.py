@@ -13,7 +13,7 @@ import sys
 import threading
 import time
 from types import FrameType
-from typing import NoReturn
+from typing import Any, NoReturn
 
 GRACE_SECONDS = 5.0
 """Time to clean up: removing the temporary files of a run takes well below a second."""
@@ -48,6 +48,7 @@ class _Stop:
             signal.signal(signal.SIGINT, self)
         if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
             signal.signal(signal.SIGTERM, self)
+        sys.unraisablehook = self._raise_again
         self._reader, self._writer = socket.socketpair()
         self._writer.setblocking(False)
         # Written to even while the main thread is inside a native library.
@@ -61,6 +62,13 @@ class _Stop:
             self.number, self.frame = number, frame
             raise KeyboardInterrupt
 
+    def _raise_again(self, ignored: Any) -> None:
+        """Interrupt once more where the first one fell into a callback, which ignores errors."""
+        if ignored.exc_type is not KeyboardInterrupt:
+            return sys.__unraisablehook__(ignored)
+        number, self.number = self.number, 0
+        threading.Timer(0.01, signal.raise_signal, [number]).start()
+
     def _enforce(self) -> None:
         number = self._reader.recv(1)[0]
         time.sleep(GRACE_SECONDS)
@@ -71,7 +79,6 @@ def _leave(number: int) -> NoReturn:
     """End the process without waiting for threads that still compute."""
     sys.stdout.flush()
     sys.stderr.write("gsc-jax: interrupted; no file is left half written\n")
-    sys.stderr.flush()
     os._exit(128 + number)
 
 

@@ -112,7 +112,7 @@ class Tamper(SceneOptions):
     Attributes:
         edit: Kind of edit.
         object: Object to paste: a .ply that holds nothing else, upright with -y up, of any position
-            and size. By default a generated vase.
+            and size.
         size: Share of the pixels that the edit should cover, as the median over the views that show
             it.
         masks: Failures of the simulated detector: none at all (clean), a single kind (boundary,
@@ -121,7 +121,7 @@ class Tamper(SceneOptions):
     """
 
     edit: Edit = "incorporation"
-    object: Annotated[Path | None, arg("OBJECT.ply", "a vase")] = None
+    object: Annotated[Path | None, arg("OBJECT.ply", "a generated vase")] = None
     size: Annotated[float, arg("SHARE")] = 0.05
     masks: Regime = "mixture"
 

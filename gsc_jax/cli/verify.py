@@ -55,8 +55,9 @@ def run_verify(options: Verify) -> tuple[list[str], list[str]]:
     if changed:
         more = f"; and {len(changed) - 10} more" if changed[10:] else ""
         raise InputError(f"{'; '.join(changed[:10])}{more}; use unchanged copies")
+    absent = "is not there and was not compared; a relative path starts where the run did"
     return [
         f"outputs  {len(outputs)} files are as they were written",
         f"inputs   {len(there)} are as they were read, {len(inputs) - len(there)} not compared",
         f"report   {out / report}: SHA-256 {content_digest(out / report)}",
-    ], [f"{path}: is not there and was not compared" for path in inputs if path not in there]
+    ], [f"{path}: {absent}" for path in inputs if path not in there]

@@ -31,7 +31,7 @@ function link(entry) {
 
 function draw() {
   const first = Math.max(0, Math.floor(box.scrollTop / HEIGHT) - AROUND);
-  const last = Math.min(order.length, first + Math.ceil(box.clientHeight / HEIGHT) + 2 * AROUND);
+  const last = Math.min(order.length, first + Math.ceil(innerHeight / HEIGHT) + 2 * AROUND);
   body.replaceChildren();
   body.insertRow().style.height = first * HEIGHT + "px";
   for (const entry of order.slice(first, last).map(index => all[index])) {

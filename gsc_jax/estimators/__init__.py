@@ -18,11 +18,7 @@ __all__ = ["METHODS", "Estimator", "Finding", "GSChecker", "Method", "Prior", "R
 __all__ += ["configured", "estimate", "sweep"]
 
 Method = Literal["robust", "official", "paper"]
-METHODS: Mapping[str, Estimator] = {
-    "robust": RobustEstimator(),
-    "official": OFFICIAL,
-    "paper": PAPER,
-}
+METHODS: Mapping[str, Estimator] = {one.name: one for one in (RobustEstimator(), OFFICIAL, PAPER)}
 """Every method with its default configuration."""
 
 

@@ -48,7 +48,7 @@ def read_compressed(path: Path, max_bytes: int | None = None) -> Gaussians:
             if file.read(4) in (b"ply\n", b"ply\r") and kind in SUFFIXES:
                 raise InputError(f"{path}: is a PLY file; rename it to {path.stem}.ply")
     gsply = None if kind in READERS else _gsply(path)
-    with reported(f"{path}: damaged or unknown", f"; {_conversion(path)}"):
+    with reported(f"{path}: damaged or unknown", f"; get a complete copy, or {_conversion(path)}"):
         if gsply is None:
             return READERS[kind](path, max_bytes)
         if kind == ".spz":
@@ -98,8 +98,7 @@ def _check_spz(path: Path, max_bytes: int | None) -> None:
     """Refuse a .spz whose streams expand to more than is allowed; nothing of them is kept."""
     data = path.read_bytes()
     if data.startswith(SPZ_MAGIC):
-        _check_spz_streams(data, path, max_bytes)
-        return
+        return _check_spz_streams(data, path, max_bytes)
     with gzip.open(path) as stream:
         while stream.read(BLOCK_BYTES):
             check_allocation(path, BYTES_PER_BYTE * stream.tell(), max_bytes)

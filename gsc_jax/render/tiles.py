@@ -116,11 +116,10 @@ def bin_view(splats: Splats, camera: Camera, *, lockstep: int | None = None) -> 
         lockstep = cpu if jax.default_backend() == "cpu" else tiles
     lockstep = min(lockstep, tiles)
     padded = bucket(-(-tiles // lockstep)) * lockstep
-    listed = len(lists.ids)  # padded to a power of four, so that the sizes of views seldom differ
-    size = 4 ** max(6, ((listed - 1).bit_length() + 1) // 2)
+    size = 4 ** max(6, -(-(len(lists.ids) - 1).bit_length() // 2))  # few different ones
     return View(
         splats=table,
-        ids=jnp.asarray(np.pad(lists.ids, (0, size - listed))),
+        ids=jnp.asarray(np.pad(lists.ids, (0, size - len(lists.ids)))),
         columns=jnp.asarray(-(-camera.width // TILE), jnp.int32),
         width=camera.width,
         height=camera.height,

@@ -31,6 +31,20 @@ SLOW_REPORT = (
     "outputs.report_page = lambda *given, **options: time.sleep(600);"
 )
 """Stands for a report that takes long, so that a signal always arrives before the end of a run."""
+INTERRUPTED_CALLBACK = """
+import gc, os, signal, time
+import gsc_jax.cli.main as cli
+def callback(*_):
+    gc.callbacks.remove(callback)
+    os.kill(os.getpid(), signal.SIGINT)
+    for _ in range(1000): pass
+def run():
+    gc.callbacks.append(callback)
+    gc.collect()
+    time.sleep(600)
+cli.main = run
+"""
+"""Stands for a run in which a signal arrives inside a callback of the garbage collector."""
 EXIT_SECONDS = 60
 """Longest time to exit after a signal on a busy machine; usually one or two seconds."""
 
@@ -119,3 +133,10 @@ def test_with_cameras_of_colmap(case, tmp_path):
     with started(tmp_path / "cache", *argv, "--out", tmp_path / "out") as process:
         reading = (tmp_path / "out" / UNFINISHED).exists
         interrupt(process, reading, signal.SIGTERM)
+
+
+def test_inside_a_callback_that_ignores_errors(tmp_path):
+    with started(tmp_path / "cache", first=INTERRUPTED_CALLBACK) as process:
+        out, err = process.communicate(timeout=EXIT_SECONDS)
+    assert (process.returncode, out) == (128 + signal.SIGINT, "")
+    assert err == "gsc-jax: interrupted; no file is left half written\n"

@@ -24,7 +24,7 @@ from gsc_jax.evidence.monitor import Monitor
 COUNTS = {
     "rows": "Rows of the file",
     "gaussians": "Gaussians that can be rendered",
-    "seen": "Visible Gaussians",
+    "seen": "Gaussians with evidence",
     "unseen": "Gaussians that no view shows",
     "tampered": "Labelled Gaussians",
 }

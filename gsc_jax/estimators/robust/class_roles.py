@@ -143,7 +143,7 @@ class _RateTable:
     def separated_share(self, other: int, shown: np.ndarray) -> np.ndarray:
         """Share of the views that flag a class or another one which separates them, shape (K,).
 
-        A view counts less where it shows a smaller share of one than of the other (`shown`, (K, V)).
+        A view counts less where it shows less of one class than of the other; `shown` is (K, V).
         """
         shown = np.maximum(shown, 1e-30)
         alike = np.minimum(shown / shown[other], shown[other] / shown)

@@ -65,8 +65,8 @@ def _weak_masks(roles: Roles, from_masks: float, verdict: float) -> list[str]:
     if verdict >= 0.5:
         conclusion = "the evidence for an edit comes from the attributes of the Gaussians"
     return [
-        f"The labelled region is flagged in {roles.rate:.0%} of the views that see it, which also "
-        f"happens to authentic regions: {conclusion}."
+        f"The labelled region is flagged in {roles.rate:.0%} of the views that see it, weighted by "
+        f"how much they see, which also happens to authentic regions: {conclusion}."
     ]
 
 

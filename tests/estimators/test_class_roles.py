@@ -235,13 +235,21 @@ def test_views_that_hardly_see_either_class_count_little():
     assert not distinct(flagged, other, first_weights=weights, other_weights=weights)
 
 
-def test_a_view_counts_as_much_as_both_classes_are_shown_alike():
+def test_a_view_counts_less_if_what_it_does_not_flag_is_covered():
+    first, other = [HIGH] * 8, [HIGH] * 4 + [LOW] * 4
     for share, expected in ((0.26, True), (0.24, False)):  # 4 * share of 4 + 4 * share
         covered = np.array([1.0] * 4 + [share] * 4)
-        first, other = [HIGH] * 8, [HIGH] * 4 + [LOW] * 4
         assert distinct(first, other, other_weights=covered) == expected
-        assert distinct(first, other, first_weights=covered) == expected
+        assert distinct(first, other, first_weights=covered), "what is flagged is covered"
         assert distinct(first, other, first_weights=covered, other_weights=covered)
+
+
+def test_a_view_that_flags_both_counts_as_much_as_it_shows_them_alike():
+    flagged, other = [HIGH] * 11, [HIGH] * 9 + [LOW] * 2
+    assert not distinct(flagged, other)
+    weights = np.array([1.0] * 3 + [0.3] * 6 + [1.0] * 2)  # 2 of 5 + 6 * 0.3
+    assert distinct(flagged, other, other_weights=weights)
+    assert distinct(flagged, other, first_weights=weights)
 
 
 def test_the_scene_probability_is_logistic_with_two_pseudo_views():

@@ -143,13 +143,15 @@ class _RateTable:
     def separated_share(self, other: int, shown: np.ndarray) -> np.ndarray:
         """Share of the views that flag a class or another one which separates them, shape (K,).
 
-        A view counts less where it shows less of one class than of the other; `shown` is (K, V).
+        A view counts less where it shows less of one class than of the other, by `shown` (K, V),
+        but fully if it does not flag the one of which it shows more.
         """
-        shown = np.maximum(shown, 1e-30)
-        alike = np.minimum(shown / shown[other], shown[other] / shown)
+        shown, separated = np.maximum(shown, 1e-30), self.differs(other)
+        ratio = np.where(self.rates < self.rates[other], shown / shown[other], shown[other] / shown)
+        alike = np.minimum(1, np.where(separated, ratio, np.minimum(ratio, 1 / ratio)))
         flagged = np.maximum(self.rates, self.rates[other]) > 0.5
         weights = flagged * alike * np.minimum(self.seen, self.seen[other])
-        return (weights * self.differs(other)).sum(axis=1) / np.maximum(weights.sum(axis=1), 1e-30)
+        return (weights * separated).sum(axis=1) / np.maximum(weights.sum(axis=1), 1e-30)
 
     def differs(self, other: int) -> np.ndarray:
         """Which views separate each class from another one, shape (K, V)."""

@@ -9,7 +9,14 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from gsc_jax.estimators import Prior
-from gsc_jax.estimators.robust.prior_fusion import fuse, linear_pool, log_odds_of
+from gsc_jax.estimators.robust.prior_fusion import (
+    fuse,
+    linear_pool,
+    log_odds_of,
+    log_odds_of_rank,
+    rank_in_scene,
+)
+from gsc_jax.scene.neighbours import parts
 
 UNIT = st.floats(0, 1, width=32)
 OPINIONS = hnp.arrays(np.float32, 5, elements=UNIT)
@@ -126,3 +133,56 @@ def test_invalid_priors_are_errors(name, value):
 def test_a_prior_of_another_size_is_an_error():
     with pytest.raises(ValueError, match="has 5 Gaussians, expected 3"):
         fuse(np.zeros(3, np.float32), 0.5, np.ones(3, bool), prior(np.zeros(5), 0.5))
+
+
+LINE = np.linspace(0, 1, 1000)
+PLACES = np.stack([LINE, 0 * LINE, 0 * LINE], axis=1)
+FIRST = np.arange(1000) < 10
+
+
+def ranked(probability: np.ndarray, region: np.ndarray = FIRST, **changes) -> float | None:
+    given = {"probability": probability, "verdict": 0.5, "known": np.ones(1000, bool), **changes}
+    return rank_in_scene(Prior(**given), region, PLACES)
+
+
+def test_the_rank_is_the_share_of_parts_that_stand_out_more():
+    count = len(parts(PLACES[10:], 10)[1])
+    assert ranked(1 - LINE) == pytest.approx(1 / (1 + count))
+    assert ranked(LINE) == 1
+    assert ranked(np.abs(LINE - 0.5)) == pytest.approx(2 / (1 + count), abs=1e-6)
+    middle = np.abs(LINE - 0.5) < 0.005
+    assert ranked(LINE, middle) == pytest.approx(0.5, abs=0.02)
+    half = LINE < 0.5  # compared with parts of a 64th of the rest
+    count = len(parts(PLACES[500:], 500 // 64)[1])
+    assert ranked(1 - LINE, half) == pytest.approx(1 / (1 + count))
+
+
+def test_parts_as_prominent_as_the_region_do_not_count():
+    few = np.where(LINE > 0.99, 0.9, 0.1)
+    assert ranked(few) == 1, "none of the parts that differ is less prominent"
+    assert ranked(np.where(FIRST, 0.9, few)) < 0.02
+
+
+def test_there_is_no_rank_without_a_difference():
+    for region in (FIRST, ~FIRST):
+        assert ranked(np.full(1000, 0.3), region) is None
+    assert ranked(LINE, np.zeros(1000, bool)) is None
+    assert ranked(LINE, np.ones(1000, bool)) is None
+    assert ranked(LINE, known=np.zeros(1000, bool)) is None
+    assert ranked(LINE, known=FIRST) is None
+    assert ranked(LINE, known=~FIRST) is None
+
+
+@given(hnp.arrays(np.float32, 100, elements=UNIT), hnp.arrays(bool, 100), hnp.arrays(bool, 100))
+def test_the_rank_is_a_share(probability, region, known):
+    found = rank_in_scene(prior(probability, 0.5, known), region, PLACES[:100])
+    assert found is None or 0 < found <= 1
+
+
+def test_odds_by_rank_have_a_mean_of_1_over_uniform_ranks():
+    ranks = (np.arange(100_000) + 0.5) / 100_000
+    odds = np.exp([log_odds_of_rank(rank) for rank in ranks])
+    assert odds.mean() == pytest.approx(1, abs=0.02)
+    assert (np.diff(odds) < 0).all()
+    assert odds.min() == pytest.approx(1 / 3, rel=1e-3)
+    assert log_odds_of_rank(None) == 0

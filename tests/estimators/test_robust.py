@@ -32,7 +32,7 @@ def world(seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 KINDS, MEANS, TOTAL = world()
-TRUE = KINDS == TAMPERED
+TRUE, ALL = KINDS == TAMPERED, np.ones(COUNT, bool)
 
 
 def masked(flagged: np.ndarray, total: np.ndarray = TOTAL, noise: float = 0.05) -> Evidence:
@@ -321,7 +321,8 @@ def test_the_prior_decides_where_masks_are_unreliable(views, verdict, exact, dec
     assert np.array_equal(found.labels[seen], expected[seen])
     assert np.array_equal(found.labels[~seen], TRUE[~seen] & (verdict > 0.5))
     assert found.verdict is not None
-    assert found.verdict >= verdict_of(decoy_in(views))
+    # The prior marks another region: evidence against that of the masks, at odds of 1 to 3.
+    assert (found.verdict < verdict_of(decoy_in(views))) == (verdict < 0.5)
     word = "reliable" if decoy else "uninformative"
     assert set(found.reliability[:views]) == {word}
     overruled = "the attributes alone" if decoy else "the masks agree on are not labelled"
@@ -355,6 +356,34 @@ def test_a_view_without_labelled_gaussians_is_unseen():
     away[0, TRUE] = 0
     found = estimate(masked(np.tile(TRUE, (VIEWS, 1)), away), prior=true_prior(0.9))
     assert found.reliability == ("unseen", *["reliable"] * (VIEWS - 1))
+
+
+@pytest.mark.parametrize("failure", ["clean", "misses", "consistent", "mixture"])
+@pytest.mark.parametrize("kind", [AUTHENTIC, TAMPERED, DECOY])
+def test_a_prior_without_a_verdict_changes_the_scene_probability_and_no_label(failure, kind):
+    """By how much what the masks label stands out in it, at most to a third of the odds."""
+    evidence, rng = masked(failing(failure)), np.random.default_rng(2)
+    own = np.where(kind == KINDS, 0.6, 0.4) + 0.01 * rng.random(COUNT)
+    given = Prior(probability=own, verdict=0.5, known=ALL)
+    alone, found = estimate(evidence), estimate(evidence, prior=given)
+    seen = TOTAL.sum(axis=0) > 0
+    np.testing.assert_array_equal(found.labels[seen], alone.labels[seen])
+    odds = [np.divide(v, 1 - v) for v in (found.verdict, alone.verdict) if v is not None]
+    change = odds[0] / odds[1]
+    assert 1 / 3 - 1e-6 <= change < 20
+    assert (change > 1) == (kind == TAMPERED)
+
+
+def test_a_prior_that_contradicts_masks_takes_no_labels():
+    flagged = np.zeros((VIEWS, COUNT), bool)
+    flagged[:4, TRUE] = True
+    evidence = masked(flagged)
+    alone = estimate(evidence)
+    least = dataclasses.replace(ESTIMATOR, min_verdict=alone.verdict)
+    found = estimate(evidence, least, Prior(probability=0.6 - 0.2 * TRUE, verdict=0.5, known=ALL))
+    assert found.verdict < alone.verdict
+    np.testing.assert_array_equal(found.labels, alone.labels)
+    assert found.labels.any()
 
 
 def test_a_prior_with_weight_0_changes_nothing():

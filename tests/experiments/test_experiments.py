@@ -16,6 +16,7 @@ SCRIPTS = (
     "calibration",
     "departures",
     "backbones",
+    "beside_masks",
     "editing",
     "enough",
     "fusion",
@@ -32,6 +33,7 @@ SCRIPTS = (
 )
 WITHOUT_CHART = (
     "adaptive",
+    "beside_masks",
     "departures",
     "fusion",
     "mask_checks",

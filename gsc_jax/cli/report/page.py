@@ -47,7 +47,8 @@ def report_page(
         wording=wording,
         headline=wording.headline(report["verdict"], counts["tampered"]),
         candidates=counts["tampered"] > 0 and wording.are_candidates(report["verdict"]),
-        conflict=wording.conflict(result),
+        conflict=wording.conflict(located),
+        rank=located.rank,
         lead=wording.lead(located),
         traces=sorted(getattr(result.prior, "traces", ()), key=lambda trace: not trace.found),
         views=sorted(

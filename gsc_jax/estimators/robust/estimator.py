@@ -14,6 +14,7 @@ the reliability of each mask from the same evidence:
 import dataclasses
 
 import numpy as np
+from scipy.special import expit
 
 from gsc_jax.estimators.protocol import NONE_FLAGGED, Estimator, Finding, Prior, unanimous
 from gsc_jax.estimators.robust import diagnostics
@@ -26,7 +27,12 @@ from gsc_jax.estimators.robust.gaussian_visibility import (
 )
 from gsc_jax.estimators.robust.latent_classes import fit_classes
 from gsc_jax.estimators.robust.mean_field import smooth
-from gsc_jax.estimators.robust.prior_fusion import fuse, log_odds_of
+from gsc_jax.estimators.robust.prior_fusion import (
+    fuse,
+    log_odds_of,
+    log_odds_of_rank,
+    rank_in_scene,
+)
 from gsc_jax.evidence.lifting import EvidenceOfViews
 from gsc_jax.evidence.masks import MaskRule
 from gsc_jax.evidence.observation import Observation
@@ -129,8 +135,10 @@ class RobustEstimator(Estimator):
         probability, verdict, known = lifted.probability, from_masks, lifted.seen
         if prior is not None:
             probability, verdict = fuse(probability, verdict, known, prior, self.prior_weight)
+            contrast = self.prior_weight * log_odds_of_rank(rank_in_scene(prior, agreed, means))
+            verdict = float(expit(log_odds_of(verdict) + contrast))
             known = known | prior.known
-        edited = verdict >= self.min_verdict
+        edited = max(verdict, from_masks) >= self.min_verdict
         labels = (probability > self.threshold) & edited
         return Finding(
             tamper=probability * edited,

@@ -20,13 +20,16 @@ from runner import measured, start
 from scipy.spatial import KDTree
 from tables import Frame, Row, markdown, where, write_section
 
-from gsc_jax.benchmark.metrics import auc
-from gsc_jax.benchmark.simulate import REGIMES
+from gsc_jax.benchmark.metrics import auc, confusion
+from gsc_jax.benchmark.simulate import REGIMES, Failures
 from gsc_jax.estimators import METHODS, Prior
 from gsc_jax.estimators.protocol import Outcome, outcome
 
 OUTCOMES: tuple[Outcome, ...] = ("evidence", "inconclusive", "none")
 PRIORS = ("none", "attributes", "wrong")
+RIVALS = "misses and consistent"
+STRENGTHS = {**REGIMES, RIVALS: Failures(misses=0.4, decoy=0.6)}
+"""In the last one, an edit and an authentic region are flagged in as many views."""
 PAIR = {"edited": "misses", "authentic": "consistent"}
 """Failures that the masks alone cannot tell from each other."""
 
@@ -36,7 +39,7 @@ def rows_of(case: Case) -> Iterator[Row]:
     wrong, pristine = wrong_prior(case), without_edit(case)
     tree = KDTree(np.asarray(case.gaussians.means))
     failures = {name: REGIMES[name] for name in FAILURES}
-    for own, regimes in ((case, REGIMES), (pristine, failures)):
+    for own, regimes in ((case, STRENGTHS), (pristine, failures)):
         nearest = tree.query(np.asarray(own.gaussians.means))[1]
         elsewhere = Prior(
             probability=wrong.probability[nearest],
@@ -48,7 +51,8 @@ def rows_of(case: Case) -> Iterator[Row]:
             for name, prior in priors.items():
                 finding = seeded(METHODS["robust"], case.seed).estimate(one.observation, prior)
                 key = {**case.key, "kind": "authentic" if own is pristine else "edited"}
-                yield {**key, "regime": regime, "prior": name, "verdict": finding.verdict}
+                f1 = confusion(finding.labels, own.labels).f1
+                yield {**key, "regime": regime, "prior": name, "verdict": finding.verdict, "f1": f1}
 
 
 def separation(edited: Frame, authentic: Frame) -> str:
@@ -70,12 +74,21 @@ def report(rows: Frame) -> str:
         found = own.verdict.map(outcome)
         numbers = [str((found == one).sum()) for one in OUTCOMES]
         counts.append([kind, regime, name, *numbers, f"{own.verdict.median():.2f}"])
+    edited = where(rows, kind="edited")
+    by_prior = edited.pivot_table(index=["scene", "edit", "seed", "regime"], columns="prior")["f1"]
+    labels = []
+    for regime in STRENGTHS:
+        own = by_prior.xs(regime, level="regime")[[*PRIORS]]
+        worst = own.sub(own["none"], axis=0).min()
+        labels.append([regime, *(f"{own[n].mean():.3f} ({worst[n]:+.3f})" for n in PRIORS)])
     scenes = len(rows.drop_duplicates(["scene", "edit", "seed"]))
     return "\n\n".join(
         [
             f"**AUC of the scene probability**, {scenes} edits of unseen scenes and the same "
             f"scenes without them; attributes after an export ({EXPORTER})",
             markdown(["prior", "all failures", "edit missed, or authentic region flagged"], lines),
+            "**F1 per Gaussian**, and its worst change by a prior",
+            markdown(["failure", *PRIORS], labels),
             "**Outcomes**: how many scenes",
             markdown(["scene", "failure", "prior", *OUTCOMES, "median probability"], counts),
         ]

@@ -16,7 +16,14 @@ import dataclasses
 import numpy as np
 from scipy.special import expit
 
-from gsc_jax.estimators.protocol import NONE_FLAGGED, Estimator, Finding, Prior, unanimous
+from gsc_jax.estimators.protocol import (
+    NONE_FLAGGED,
+    Estimator,
+    Finding,
+    Prior,
+    outcome,
+    unanimous,
+)
 from gsc_jax.estimators.robust import diagnostics
 from gsc_jax.estimators.robust.class_roles import Roles, assign_roles, scene_probability
 from gsc_jax.estimators.robust.gaussian_visibility import (
@@ -32,6 +39,7 @@ from gsc_jax.estimators.robust.prior_fusion import (
     log_odds_of,
     log_odds_of_rank,
     rank_in_scene,
+    refuted,
 )
 from gsc_jax.evidence.lifting import EvidenceOfViews
 from gsc_jax.evidence.masks import MaskRule
@@ -134,8 +142,11 @@ class RobustEstimator(Estimator):
         from_masks = scene_probability(*((roles.rate, roles.views) if roles else (0.0, views)))
         probability, verdict, known = lifted.probability, from_masks, lifted.seen
         if prior is not None:
+            if roles is not None and outcome(from_masks) != "evidence":
+                probability = probability * ~refuted(roles.tampered, lifted.region, prior, means)
+            rank = rank_in_scene(prior, probability > 0.5, means)
             probability, verdict = fuse(probability, verdict, known, prior, self.prior_weight)
-            contrast = self.prior_weight * log_odds_of_rank(rank_in_scene(prior, agreed, means))
+            contrast = self.prior_weight * log_odds_of_rank(rank)
             verdict = float(expit(log_odds_of(verdict) + contrast))
             known = known | prior.known
         edited = max(verdict, from_masks) >= self.min_verdict
@@ -174,7 +185,8 @@ class RobustEstimator(Estimator):
         kinds = roles.tampered, ~roles.tampered
         tampered, other = (class_probability[:, kind].max(axis=1) for kind in kinds)
         probability = np.where(seen, tampered / (tampered + other), 0.0).astype(np.float32)
-        return MaskEstimate(probability=probability, seen=seen, roles=roles)
+        region = class_probability.argmax(axis=1).astype(np.int8)
+        return MaskEstimate(probability=probability, seen=seen, roles=roles, region=region)
 
     def _roles(
         self, evidence: EvidenceOfViews, sample: np.ndarray, represents: np.ndarray
@@ -205,11 +217,13 @@ class MaskEstimate:
         probability: Probability of tampering, given an edit, shape (N,) float32; 0 if unseen.
         seen: Mask of the Gaussians visible in at least one view, shape (N,) bool.
         roles: Roles of the latent classes; None if there is only one class.
+        region: Most probable class, in the order of the roles, shape (N,) int8; None without roles.
     """
 
     probability: np.ndarray
     seen: np.ndarray
     roles: Roles | None = None
+    region: np.ndarray | None = None
 
 
 def pattern_distance(evidence: EvidenceOfViews, roles: Roles, half_weight: float) -> np.ndarray:

@@ -4,7 +4,7 @@ Both come with a probability that they show an edit at all: the masks by how man
 prior by its own verdict on the scene. A prior can be sure and wrong, and must not cost what the
 masks alone find. So it decides only what no view sees, and everything if hardly any views agree;
 only an exact prior can overrule masks. Whether it sets apart what the masks label changes the
-scene probability, and no label.
+scene probability, and which of several rivals is labelled.
 """
 
 import math
@@ -27,6 +27,9 @@ MIN_PARTS = 64
 CALIBRATOR = 1 / 3
 """Exponent k of the calibrator k p^(k - 1) of a p-value (Vovk and Wang, 2021): odds with a mean of
 1 over uniform p, which therefore rarely favour an authentic region."""
+STANDS_OUT, ORDINARY = 0.03, 0.3
+"""Of regions that masks label, those of a rank above `ORDINARY` are authentic if one `STANDS_OUT`;
+edits of seeds 10 to 13 mostly had less than 0.03, authentic regions more than 0.3."""
 
 
 def fuse(
@@ -72,6 +75,19 @@ def rank_in_scene(prior: Prior, region: np.ndarray, means: Array) -> float | Non
     above = sums / np.diff(starts, append=len(rest)) - log_odds[inside].mean()
     above = above[np.abs(above) > 1e-6]
     return float((1 + (above > 0).sum()) / (1 + len(above))) if len(above) else None
+
+
+def refuted(tampered: np.ndarray, region: np.ndarray, prior: Prior, means: Array) -> np.ndarray:
+    """Gaussians of rivals that are ordinary in the prior, where another one stands out, (N,) bool.
+
+    Masks cannot tell an edit that they miss in 40 % of the views from an authentic region that they
+    flag in 60 %; where they give evidence of an edit, they are not asked. Rivals are the classes
+    that are `tampered` (C,) bool, and `region` is the class of each Gaussian, (N,).
+    """
+    rivals = np.flatnonzero(tampered)
+    ranks = [rank_in_scene(prior, region == rival, means) for rival in rivals]
+    ranks = np.array([ORDINARY if rank is None else rank for rank in ranks])
+    return np.isin(region, rivals[(ranks > ORDINARY) & (ranks.min() <= STANDS_OUT)])
 
 
 def log_odds_of_rank(p: float | None) -> float:

@@ -55,8 +55,7 @@ def _blended(view: View, features: jax.Array) -> jax.Array:
         return image + jnp.sum(weights[:, :, None, :] * padded[ids][..., None], axis=1)
 
     def blend(group):
-        blank = jnp.zeros((view.lockstep, features.shape[1], TILE * TILE))
-        return walk(view, group, visit, blank)
+        return walk(view, group, visit, jnp.zeros((view.lockstep, features.shape[1], TILE * TILE)))
 
     blended = jax.lax.map(blend, groups(view))
     blended = blended.reshape(-1, *blended.shape[2:])
@@ -150,6 +149,8 @@ def require_finite(name: str, values: jax.Array) -> jax.Array:
     return values
 
 
+Colour = tuple[float, float, float]
+BLACK: Colour = (0.0, 0.0, 0.0)
 Cameras = Camera | Sequence[Camera]
 """A camera, or V cameras of one image size, whose images are stacked along a first axis V."""
 
@@ -213,11 +214,7 @@ def render_depth(
 
 
 def render(
-    gaussians: Gaussians,
-    camera: Cameras,
-    *,
-    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    near: float = NEAR,
+    gaussians: Gaussians, camera: Cameras, *, background: Colour = BLACK, near: float = NEAR
 ) -> tuple[jax.Array, jax.Array]:
     """Render a scene; `jax.grad` and `jax.vjp` differentiate it by the Gaussians and the camera.
 
@@ -245,11 +242,7 @@ def render(
 
 
 def render_view(
-    view: View,
-    gaussians: Gaussians,
-    camera: Camera,
-    *,
-    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    view: View, gaussians: Gaussians, camera: Camera, *, background: Colour = BLACK
 ) -> tuple[jax.Array, jax.Array]:
     """Render a scene as `render` does, given the view that `make_view` has built for it.
 

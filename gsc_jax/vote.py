@@ -58,8 +58,7 @@ def no_votes(count: int) -> Tally:
 
 def paper_consensus(counts: Tally) -> jax.Array:
     """Initial attribute, (N,) float32 (eq. 6): T_i if more vote tampered than authentic, else 0."""
-    majority = counts.tampered > counts.authentic
-    return jnp.where(majority, counts.tampered, 0).astype(jnp.float32)
+    return jnp.where(counts.tampered > counts.authentic, counts.tampered, 0).astype(jnp.float32)
 
 
 def official_consensus(counts: Tally) -> jax.Array:

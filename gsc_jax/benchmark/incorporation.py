@@ -62,8 +62,7 @@ def paste_object(
     places = regions.draw_seeds(visibility, PLACES, rng)
     area = 0.6 * height * np.sqrt(2) * radius  # an object fills about 0.6 of its bounding box
     pixels = size * visibility.cameras[0].width * visibility.cameras[0].height
-    pixel_sizes = _pixel_sizes(visibility, np.asarray(gaussians.means)[places])
-    scales = pixel_sizes * np.sqrt(pixels / area)
+    scales = _pixel_sizes(visibility, np.asarray(gaussians.means)[places]) * np.sqrt(pixels / area)
     cost, ground, scale = _best_place(gaussians, visibility, places, scales, (radius, height))
     if cost > MAX_COST:
         raise regions.EditRejected("no level and free ground is in view")

@@ -206,7 +206,7 @@ def grow_region(
         ring=near[count:][distance[count:] <= RING_REACH * distance[count - 1]],
         center=center,
         radius=float(np.quantile(np.linalg.norm(means[rows] - center, axis=1), 0.9)),
-        towards=_direction_to_cameras(visibility, rows, center),
+        towards=_towards_cameras(visibility, rows, center),
     )
 
 
@@ -241,9 +241,7 @@ def _graph_distances(means: np.ndarray, colors: np.ndarray, contrast: float) -> 
     return dijkstra(graph, directed=False, indices=0)
 
 
-def _direction_to_cameras(
-    visibility: Visibility, rows: np.ndarray, center: np.ndarray
-) -> np.ndarray:
+def _towards_cameras(visibility: Visibility, rows: np.ndarray, center: np.ndarray) -> np.ndarray:
     """Unit vector to the cameras, weighted by the pixels that these rows fill in them."""
     weights = visibility.pixel_share[:, rows].sum(axis=1) + 1e-9
     directions = np.stack([camera.center for camera in visibility.cameras]) - center

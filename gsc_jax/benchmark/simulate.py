@@ -83,7 +83,7 @@ def simulate(
         flagged_views = _random_share(np.array(decoy.any(axis=(1, 2))), failures.decoy, rng)
         regions |= decoy & flagged_views[:, None, None]
     inverted = _random_share(np.ones(len(truth), bool), failures.inverted, rng)
-    views = [_probability_map(region, failures, rng) for region in regions]
+    views = [_probabilities(region, failures, rng) for region in regions]
     flagged = np.reshape(views, truth.shape)
     return np.where(inverted[:, None, None], 1 - flagged, flagged).astype(np.float32)
 
@@ -121,9 +121,7 @@ def _random_share(among: np.ndarray, share: float, rng: np.random.Generator) -> 
     return np.isin(np.arange(len(among)), rng.permutation(views)[: round(share * len(views))])
 
 
-def _probability_map(
-    region: np.ndarray, failures: Failures, rng: np.random.Generator
-) -> np.ndarray:
+def _probabilities(region: np.ndarray, failures: Failures, rng: np.random.Generator) -> np.ndarray:
     """Probability map of a view in which this region is flagged, blobs and rough edges added."""
     distance = _signed_distance(region)
     for _ in range(rng.poisson(failures.blobs)):

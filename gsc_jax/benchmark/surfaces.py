@@ -118,6 +118,7 @@ def revolve(profile: np.ndarray, foot: Vector, *, axis: int = 1) -> Surface:
     area = np.append(0, np.cumsum(2 * np.pi * middle * np.linalg.norm(pieces, axis=1)))
     slope = np.gradient(profile, axis=0)
     slope /= np.linalg.norm(slope, axis=1, keepdims=True)
+    columns = np.hstack([profile, slope]).T
 
     def around(angle: np.ndarray, radius: np.ndarray, height: np.ndarray) -> np.ndarray:
         upright = np.stack([radius * np.cos(angle), -height, radius * np.sin(angle)], axis=-1)
@@ -125,9 +126,7 @@ def revolve(profile: np.ndarray, foot: Vector, *, axis: int = 1) -> Surface:
 
     def at(uv: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         angle, along = 2 * np.pi * uv[:, 0], uv[:, 1] * area[-1]
-        radius, height, dr, dh = (
-            np.interp(along, area, column) for column in np.hstack([profile, slope]).T
-        )
+        radius, height, dr, dh = (np.interp(along, area, column) for column in columns)
         return np.asarray(foot) + around(angle, radius, height), around(angle, dh, -dr)
 
     return Surface(float(area[-1]), at)

@@ -72,14 +72,14 @@ def read_config_file(path: str | Path) -> ConfigFile:
         raise InputError(f"{path}: expected the tables command and config")
     report = {"versions", "outputs"} <= set(content)
     tables = {name: content.get(name, {}) for name in ("command", "config")} if report else content
-    tables = _validated(_File, tables, str(path), hint="options go below a line [command]")
-    command = _validated(_model(Locate), tables.get("command", {}), f"{path}: command")
+    tables = _checked(_File, tables, str(path), hint="options go below a line [command]")
+    command = _checked(_model(Locate), tables.get("command", {}), f"{path}: command")
     command.pop("config", None)  # its content is in the table `config`
     method = _method(path, command, tables.get("config", {}))
     base = METHODS[method]
     fields = ", ".join(field.name for field in dataclasses.fields(typing.cast(Any, base)))
     hint = f"fields of the method {method}: {fields}"
-    config = _validated(_model(type(base)), tables.get("config", {}), f"{path}: config", hint=hint)
+    config = _checked(_model(type(base)), tables.get("config", {}), f"{path}: config", hint=hint)
     if command.get("all_views") or command.get("views"):
         if config.get("tolerance"):
             raise InputError(f"{path}: config.tolerance and a number of views exclude each other")
@@ -105,9 +105,7 @@ def _model(kind: type) -> type[pydantic.BaseModel]:
     return pydantic.create_model(kind.__name__, __config__=STRICT, **fields)
 
 
-def _validated(
-    model: type[pydantic.BaseModel], table: Table, where: str, *, hint: str = ""
-) -> Table:
+def _checked(model: type[pydantic.BaseModel], table: Table, where: str, *, hint: str = "") -> Table:
     """The keys of a table with values of the types of a model."""
     try:  # as JSON, in which strict types still allow a list for a tuple and a text for a path
         valid = model.model_validate_json(json.dumps(table, default=str))

@@ -74,7 +74,7 @@ def run_demo(
     return [
         *_introduction(case),
         "",
-        *_score_table(case, results, found),
+        *_table(case, results, found),
         "",
         *EXPLANATION.splitlines(),
         "",
@@ -136,9 +136,7 @@ def _introduction(case: Case) -> list[str]:
     )
 
 
-def _score_table(
-    case: Case, results: Mapping[str, Result], found: Mapping[str, Views]
-) -> list[str]:
+def _table(case: Case, results: Mapping[str, Result], found: Mapping[str, Views]) -> list[str]:
     """Scores of the labels, and of the masks of the held-out views; the detector has no labels."""
     titles = ("found", "precision", "recall", "F1", "views: F1", "IoU")
     lines = [f"{'Gaussians':20}" + "".join(f"{title:>11}" for title in titles)]

@@ -95,12 +95,10 @@ def open_detector(options: Locate, *, attributes: bool) -> Detector | None:
 
 def _open_network(path: Path, options: Locate) -> Detector:
     """Load a 2D network; its outputs are cached unless --no-cache is given."""
-    if str(path) in PRESETS and not path.exists():
-        raise InputError(
-            f"--detector {path}: is a preset; give --detector MODEL.onnx --preset {path}"
-        )
     if not path.exists():
-        raise InputError(f"--detector {path}: no such file, expected native, none or a model")
+        preset = f"is a preset; give --detector MODEL.onnx --preset {path}"
+        absent = "no such file, expected native, none or a model"
+        raise InputError(f"--detector {path}: {preset if str(path) in PRESETS else absent}")
     runtime = {"providers": [options.provider or "cpu"], "threads": options.threads or 0}
     if path.is_dir():
         if options.preset or options.spec:

@@ -135,9 +135,7 @@ def _view(camera: Camera, result: Result) -> dict[str, Any]:
     }
 
 
-def _write_overview(
-    path: Path, cameras: Sequence[Camera], result: Result, store: ArrayStore
-) -> None:
+def _write_overview(path: Path, cameras: list[Camera], result: Result, store: ArrayStore) -> None:
     """Write a picture with the views of the largest masks, preferably views that a detector saw."""
     judged = [camera for camera in cameras if camera.name in result.probabilities] or cameras
     shares = {camera.name: result.masks[camera.name].mean() for camera in judged}

@@ -99,11 +99,10 @@ def has_mark(path: Path, mark: str) -> bool:
 
 def refuse_links(out: Path, places: Sequence[Path]) -> None:
     """Raise InputError for a link among these places in a folder of results."""
-    for place in places:
-        if place.is_symlink():
-            raise InputError(
-                f"{place}: is a link, and results are written inside {out} only; remove the link"
-            )
+    if link := next(filter(Path.is_symlink, places), None):
+        raise InputError(
+            f"{link}: is a link, and results are written inside {out} only; remove the link"
+        )
 
 
 def refuse_blocked(out: Path, names: Sequence[str]) -> None:

@@ -124,12 +124,10 @@ def read_by_row(path: Path, total: int) -> np.ndarray:
     existing_file(path, expected=expected)
     with reported(f"{path}: damaged", f", expected {expected}"):
         # Mapped, so that a shape in the header that the file does not have allocates nothing.
-        values = np.lib.format.open_memmap(path, mode="r")
-    if values.shape != (total,) or values.dtype.kind not in "biuf":
-        raise InputError(
-            f"{path}: holds {values.dtype} of shape {values.shape}, expected {expected}"
-        )
-    return np.array(values)
+        found = np.lib.format.open_memmap(path, mode="r")
+    if found.shape != (total,) or found.dtype.kind not in "biuf":
+        raise InputError(f"{path}: holds {found.dtype} of shape {found.shape}, expected {expected}")
+    return np.array(found)
 
 
 def _read_report(folder: Path) -> dict[str, Any]:

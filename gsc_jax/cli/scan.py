@@ -5,7 +5,7 @@ import dataclasses
 import logging
 import socket
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -133,19 +133,15 @@ def _connected(ray: Any, options: Scan) -> Iterator[None]:
         ray.shutdown()
 
 
-def _scanned(
-    ray: Any, entries: Sequence[Entry], settings: ScanSettings, monitor: Monitor
-) -> list[Row]:
+def _scanned(ray: Any, entries: list[Entry], settings: ScanSettings, monitor: Monitor) -> list[Row]:
     logging.getLogger("ray.data").setLevel(logging.ERROR)
     ray.data.DataContext.get_current().enable_progress_bars = False
-    dataset = ray.data.from_items(list(entries), override_num_blocks=min(len(entries), MAX_BLOCKS))
+    dataset = ray.data.from_items(entries, override_num_blocks=min(len(entries), MAX_BLOCKS))
     rows = monitor.track("scenes", scan(dataset, settings=settings).iter_rows(), len(entries))
     return [{name: row[name] for name in ("id", "key", "status", "error_class")} for row in rows]
 
 
-def _summary(
-    rows: Sequence[Row], done: Sequence[Row], options: Scan, monitor: Monitor
-) -> list[str]:
+def _summary(rows: list[Row], done: list[Row], options: Scan, monitor: Monitor) -> list[str]:
     """The most suspicious scenes, counts, errors by class, and where the results are."""
     ranked = [row for row in rows if row["scene_probability"] is not None]
     ranked.sort(key=lambda row: (-row["scene_probability"], row["id"]))

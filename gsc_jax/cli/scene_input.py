@@ -128,17 +128,15 @@ def check_names(cameras: Sequence[Camera]) -> None:
     All commands that write a file per camera, .png or .jpg, read their cameras here.
     """
     names: dict[PurePath, str] = {}
-    for camera in cameras:
-        path = image_path("masks", camera.name)
+    for name in (camera.name for camera in cameras):
+        path = image_path("masks", name)
         if UNFINISHED in path.parts:
-            raise InputError(
-                f"camera {camera.name!r}: the name {UNFINISHED} is reserved; rename it"
-            )
+            raise InputError(f"camera {name!r}: the name {UNFINISHED} is reserved; rename it")
         if path in names:
             raise InputError(
-                f"cameras {names[path]!r} and {camera.name!r}: differ only in slashes; rename one"
+                f"cameras {names[path]!r} and {name!r}: differ only in slashes; rename one"
             )
-        names[path] = camera.name
+        names[path] = name
     names |= {path.with_suffix(".jpg"): name for path, name in names.items()}
     for path, name in names.items():
         if folder := next((place for place in path.parents if place in names), None):

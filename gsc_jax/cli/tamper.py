@@ -52,7 +52,7 @@ def run_tamper(options: Tamper, *, monitor: Monitor) -> tuple[list[str], list[st
         monitor.progress("edit", 1, 1)
         _write(folder, options, edited, cameras, monitor)
         _write_overview(folder / "overview.png", scene.gaussians, edited, cameras, options.near)
-        _write_description(folder, options, edited, cameras)
+        _describe(folder, options, edited, cameras)
     return _lines(options, edited), warnings
 
 
@@ -121,9 +121,7 @@ def write_views(
         write(image_path(folder, name), image)
 
 
-def _write_description(
-    folder: Path, options: Tamper, edited: Tampered, cameras: Sequence[Camera]
-) -> None:
+def _describe(folder: Path, options: Tamper, edited: Tampered, cameras: Sequence[Camera]) -> None:
     shares = zip([camera.name for camera in cameras], edited.visible, strict=True)
     description = {
         "description": edited.description,

@@ -158,9 +158,8 @@ class OnnxDetector(NetworkDetector):
         distorted = abs(height * target[1] - width * target[0]) > max(target)
         if not channels.size or (output.ndim < 4 and distorted):
             raise InputError(
-                f"{self.path}: output {self._output.name!r} has shape "
-                f"{shape_text(output.shape)}, which is not a map of an input of "
-                f"{shape_text(target)}; change output in the spec"
+                f"{self.path}: output {self._output.name!r} has shape {shape_text(output.shape)}, "
+                f"which is not a map of an input of {shape_text(target)}; change output in the spec"
             )
         return channels
 

@@ -38,13 +38,13 @@ def open_session(
         InputError: If the file is not a valid model, has external tensors outside its folder, or
             does not run with the providers.
     """
-    import onnxruntime
+    import onnxruntime as ort
 
     existing_file(path, expected="an ONNX model")
     if threads < 0:
         raise InputError(f"{path}: {threads} threads, expected 0 (all cores) or more")
     names = provider_names(providers)
-    options = onnxruntime.SessionOptions()
+    options = ort.SessionOptions()
     options.intra_op_num_threads = threads
     options.enable_mem_pattern = False  # it would keep the memory of each shape of SAFIRE
     options.log_severity_level = 4  # the raised errors contain the messages
@@ -52,9 +52,7 @@ def open_session(
     options.add_session_config_entry("session.load_model_format", "ONNX")
     remedy = "; export it again, with external tensors in the same folder"
     with reported(f"{path}: onnxruntime cannot load it as an ONNX model", remedy):
-        session = onnxruntime.InferenceSession(
-            path, options, providers=names, enable_fallback=False
-        )
+        session = ort.InferenceSession(path, options, providers=names, enable_fallback=False)
     # onnxruntime silently drops a provider without a driver.
     if missing := [name for name in names if name not in session.get_providers()]:
         raise InputError(

@@ -28,10 +28,6 @@ Probability = Annotated[float, Field(strict=True, gt=0, lt=1)]
 Size = Count | tuple[Count, Count] | None
 
 
-def _height_and_width(size: Size) -> Size:
-    return (size, size) if isinstance(size, int) else size
-
-
 @pydantic.dataclasses.dataclass(frozen=True, kw_only=True, config={"extra": "forbid"})
 class OnnxSpec:
     """Input and output conventions of a network; its input is `(scale * image - mean) / std`.
@@ -59,7 +55,9 @@ class OnnxSpec:
         threshold: Decision threshold of the network; becomes 0.5 in the map.
     """
 
-    size: Annotated[Size, pydantic.AfterValidator(_height_and_width)] = None
+    size: Annotated[
+        Size, pydantic.AfterValidator(lambda size: (size, size) if isinstance(size, int) else size)
+    ] = None
     fit: Literal["resize", "pad", "none"] = "resize"
     multiple_of: Count = 1
     low_pass: bool = True

@@ -197,10 +197,9 @@ def _direction_groups(gaussians: Gaussians, around: Neighbourhoods) -> dict[str,
     squared = np.einsum("nij,nij->n", covariance, covariance)
     volume = np.log(np.maximum(np.linalg.det(covariance), 1e-9))
     along = [np.einsum("ni,nij,nj->n", axis, covariance, axis) for axis in axes]
-    agreement = [_agreement(axis, around) for axis in axes]
     return {
         "surface": np.column_stack([squared, volume, *along]),
-        "agreement": np.column_stack(agreement),
+        "agreement": np.column_stack([_agreement(axis, around) for axis in axes]),
     }
 
 

@@ -83,8 +83,7 @@ def _novelty(statistics: np.ndarray, centers: np.ndarray, radius: np.ndarray) ->
     The distance to the most similar place elsewhere, and how many of the `CANDIDATES` are nearby.
     """
     described = (statistics @ principal_axes(statistics, COMPONENTS)).astype(np.float32)
-    count = min(CANDIDATES, len(centers))
-    distances, candidates = KDTree(described).query(described, k=count)
+    distances, candidates = KDTree(described).query(described, k=min(CANDIDATES, len(centers)))
     elsewhere = np.linalg.norm(centers[candidates] - centers[:, None], axis=2) > radius
     first = np.where(elsewhere.any(axis=1), elsewhere.argmax(axis=1), -1)
     distance = distances[np.arange(len(centers)), first]

@@ -30,9 +30,8 @@ def row_order(gaussians: Gaussians, in_file: np.ndarray | slice = slice(None)) -
     score = np.zeros(len(gaussians), np.float32)
     score[appended_rows(gaussians, in_file)] = APPENDED_SCORE
     found = "are the last of the file and differ from all other rows"
-    return make_trace(
-        "row-order", score, found, "The last rows of the file do not differ from the others."
-    )
+    absent = "The last rows of the file do not differ from the others."
+    return make_trace("row-order", score, found, absent)
 
 
 def appended_rows(gaussians: Gaussians, in_file: np.ndarray | slice = slice(None)) -> slice:

@@ -102,10 +102,9 @@ def read_ply(path: str | Path, *, max_bytes: int | None = None) -> PlyScene:
             Gaussian that can be rendered, or takes more memory.
     """
     path = sog_folder(path) or existing_file(path, expected="a scene (.ply)")
-    if path.is_dir() or path.suffix.lower() in compressed.SUFFIXES:
-        return _scene(encode(compressed.read_compressed(path, max_bytes)), path)
-    ply = _parse(path, max_bytes)
-    if compressed.is_compressed_ply(ply, path):
+    is_ply = path.is_file() and path.suffix.lower() not in compressed.SUFFIXES
+    ply = _parse(path, max_bytes) if is_ply else None
+    if ply is None or compressed.is_compressed_ply(ply, path):
         ply = encode(compressed.read_compressed(path, max_bytes))
     return _scene(ply, path)
 

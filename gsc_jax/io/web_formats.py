@@ -108,12 +108,10 @@ def read_glb(path: Path, max_bytes: int | None = None) -> Gaussians:
         raise ValueError(f"no primitive with {GLTF}")
     if len(found) > 1 and any(PLACES & set(node) for node in tree.get("nodes", [])):
         raise ValueError("several primitives, and nodes that move them")
-    return concatenate([_gltf_primitive(tree, binary, one["attributes"]) for one in found])
+    return concatenate([_primitive(tree, binary, one["attributes"]) for one in found])
 
 
-def _gltf_primitive(
-    tree: dict[str, Any], binary: bytes, attributes: Mapping[str, int]
-) -> Gaussians:
+def _primitive(tree: dict[str, Any], binary: bytes, attributes: Mapping[str, int]) -> Gaussians:
     def column(name: str) -> np.ndarray:
         return _accessor(tree, binary, tree["accessors"][attributes[name]])
 

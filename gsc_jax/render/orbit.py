@@ -72,10 +72,9 @@ def orbit_cameras(
     distance = DISTANCE_MARGIN * radius / np.sin(np.arctan(0.5 * min(size) / focal))
     up = up / np.linalg.norm(up)
     K, eyes = intrinsics(focal, width, height), center + distance * _directions(n, up, seed)
-    poses = [look_at(eye, center, up) for eye in eyes]
     return [
         Camera(viewmat=pose, K=K.copy(), width=width, height=height, name=f"orbit_{index:03d}")
-        for index, pose in enumerate(poses)
+        for index, pose in enumerate(look_at(eye, center, up) for eye in eyes)
     ]
 
 

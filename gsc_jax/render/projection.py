@@ -123,7 +123,8 @@ def _project_one(mean, log_scale, quat, logit, camera: Pinhole, near) -> Splats:
     row_y = [_dot(v, axis) * scale for axis, scale in zip(axes, scales, strict=True)]
 
     a, b, c = _dot(row_x, row_x) + LOW_PASS, _dot(row_x, row_y), _dot(row_y, row_y) + LOW_PASS
-    thin = _cross(row_x, [entry / jnp.sqrt(c) for entry in row_y])
+    p, q = row_x, [entry / jnp.sqrt(c) for entry in row_y]
+    thin = [p[i] * q[j] - p[j] * q[i] for i, j in ((1, 2), (2, 0), (0, 1))]  # p x q
     det_over_c = _dot(thin, thin) + LOW_PASS * ((a - LOW_PASS) / c + 1.0)
     steep = jnp.sqrt(0.5 / det_over_c)
 
@@ -185,10 +186,6 @@ def _dot(p, q):
     return functools.reduce(jnp.add, [p[k] * q[k] for k in range(len(q))])
 
 
-def _cross(p, q):
-    return [p[i] * q[j] - p[j] * q[i] for i, j in ((1, 2), (2, 0), (0, 1))]
-
-
 @jax.jit
 def project_centers(means: Array, viewmat: Array, K: Array) -> tuple[jax.Array, jax.Array]:
     """Pixels (N, 2) and depths (N,) of centres (N, 3), without culling, for the vote.
@@ -196,8 +193,7 @@ def project_centers(means: Array, viewmat: Array, K: Array) -> tuple[jax.Array, 
     The pixels are meaningless where the depth is not positive.
     """
     means, viewmat, K = jnp.asarray(means), jnp.asarray(viewmat), jnp.asarray(K)
-    rotated = jnp.matmul(means, viewmat[:3, :3].T, precision="highest")
-    points = rotated + viewmat[None, :3, 3]
+    points = jnp.matmul(means, viewmat[:3, :3].T, precision="highest") + viewmat[None, :3, 3]
     depths = points[:, 2]
     rays = points[:, :2] / jnp.where(depths > 0, depths, 1.0)[:, None]
     return rays * jnp.diag(K)[None, :2] + K[None, :2, 2], depths

@@ -50,8 +50,7 @@ def check_views(
     if not len(gaussians):
         raise InputError("the scene has no Gaussians")
     points = opaque_means(gaussians)
-    count = min(len(points), MAX_POINTS)
-    points = points[np.linspace(0, len(points) - 1, count).astype(np.int64)]
+    points = points[np.linspace(0, len(points) - 1, min(len(points), MAX_POINTS)).astype(np.int64)]
     depths = _depths(points, cameras)
     seen = depths > near
     share, share_ahead = seen.any(axis=0).mean(), (depths > 0).any(axis=0).mean()
@@ -96,11 +95,10 @@ def _better_convention(points: np.ndarray, cameras: Sequence[Camera]) -> str:
 
     shares = {convention: median_share(convert) for convention, convert in CONVENTIONS.items()}
     best = max(shares, key=shares.__getitem__)
-    if shares[best] <= max(LOW_SHARE, 3 * median_share(np.asarray)):
+    if (share := shares[best]) <= max(LOW_SHARE, 3 * median_share(np.asarray)):
         return ""
     return (
-        f"; perhaps the poses are to be read {best}: a camera would then typically see "
-        f"{shares[best]:.0%}"
+        f"; perhaps the poses are to be read {best}: a camera would then typically see {share:.0%}"
     )
 
 

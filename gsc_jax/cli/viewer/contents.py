@@ -176,10 +176,8 @@ def _sentences(results: Results) -> list[str]:
     )
     if verdict is None:
         return [labels]
-    return [
-        headline(verdict, tampered),
-        f"{labels} The scene probability of an edit is {percent(verdict)}.",
-    ]
+    probability = f"The scene probability of an edit is {percent(verdict)}."
+    return [headline(verdict, tampered), f"{labels} {probability}"]
 
 
 def _omission(results: Results, rows: np.ndarray) -> list[str]:

@@ -135,8 +135,7 @@ def exported(contents: Contents, part: str, selected: np.ndarray, threshold: flo
     """
     if contents.version != version(contents.folder):
         raise InputError(f"{contents.folder}: has new results; start gsc-jax view again")
-    path = result_file(contents.folder, "tamper.ply")
-    scene = read_ply(path, max_bytes=contents.max_bytes)
+    scene = read_ply(result_file(contents.folder, "tamper.ply"), max_bytes=contents.max_bytes)
     scores = read_by_row(result_file(contents.folder, "tamper.npy"), scene.total)
     chosen = scores > threshold
     if part.endswith("selected"):

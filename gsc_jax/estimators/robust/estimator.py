@@ -14,7 +14,6 @@ the reliability of each mask from the same evidence:
 import dataclasses
 
 import numpy as np
-from scipy.special import expit
 
 from gsc_jax.estimators.protocol import (
     NONE_FLAGGED,
@@ -24,7 +23,7 @@ from gsc_jax.estimators.protocol import (
     outcome,
     unanimous,
 )
-from gsc_jax.estimators.robust import diagnostics
+from gsc_jax.estimators.robust import diagnostics, prior_fusion
 from gsc_jax.estimators.robust.class_roles import Roles, assign_roles, scene_probability
 from gsc_jax.estimators.robust.gaussian_visibility import (
     BLOCK,
@@ -34,13 +33,6 @@ from gsc_jax.estimators.robust.gaussian_visibility import (
 )
 from gsc_jax.estimators.robust.latent_classes import fit_classes
 from gsc_jax.estimators.robust.mean_field import smooth
-from gsc_jax.estimators.robust.prior_fusion import (
-    fuse,
-    log_odds_of,
-    log_odds_of_rank,
-    rank_in_scene,
-    refuted,
-)
 from gsc_jax.evidence.lifting import EvidenceOfViews
 from gsc_jax.evidence.masks import MaskRule
 from gsc_jax.evidence.observation import Observation
@@ -142,19 +134,19 @@ class RobustEstimator(Estimator):
         from_masks = scene_probability(*((roles.rate, roles.views) if roles else (0.0, views)))
         probability, verdict, known = lifted.probability, from_masks, lifted.seen
         if prior is not None:
-            if roles is not None and outcome(from_masks) != "evidence":
-                probability = probability * ~refuted(roles.tampered, lifted.region, prior, means)
-            rank = rank_in_scene(prior, probability > 0.5, means)
-            probability, verdict = fuse(probability, verdict, known, prior, self.prior_weight)
-            contrast = self.prior_weight * log_odds_of_rank(rank)
-            verdict = float(expit(log_odds_of(verdict) + contrast))
-            known = known | prior.known
+            if roles and outcome(from_masks) != "evidence":
+                rivals = prior_fusion.refuted(roles.tampered, lifted.region, prior, means)
+                probability = np.where(rivals, np.float32(0), probability)
+            fused = prior_fusion.fuse(probability, verdict, known, prior, self.prior_weight, means)
+            (probability, verdict), known = fused, known | prior.known
         edited = max(verdict, from_masks) >= self.min_verdict
         labels = (probability > self.threshold) & edited
         return Finding(
             tamper=probability * edited,
             labels=labels,
-            attribute=np.where(known, log_odds_of(probability), 0.0).astype(np.float32),
+            attribute=np.where(known, prior_fusion.log_odds_of(probability), 0.0).astype(
+                np.float32
+            ),
             verdict=verdict,
             reliability=diagnostics.reliability(evidence, labels, lifted.roles),
             warnings=[NONE_FLAGGED + diagnostics.FROM_PRIOR * bool(labels.any())]

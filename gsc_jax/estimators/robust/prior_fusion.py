@@ -33,14 +33,20 @@ edits of seeds 10 to 13 mostly had less than 0.03, authentic regions more than 0
 
 
 def fuse(
-    probability: np.ndarray, verdict: float, seen: np.ndarray, prior: Prior, weight: float = 1.0
+    probability: np.ndarray,
+    verdict: float,
+    seen: np.ndarray,
+    prior: Prior,
+    weight: float = 1.0,
+    means: Array | None = None,
 ) -> tuple[np.ndarray, float]:
     """Fuse probabilities from masks with a prior, as docs/method.md derives it.
 
     Where the masks do not count, the prior counts with the probability that it is correct, its
     verdict: for Gaussians that no view sees, and anywhere if the verdict of the masks is below
     `MIN_MASK_VERDICT`. An exact prior and the masks are each correct or not, independently. The
-    fused verdict includes only a verdict of the prior *for* an edit, which need not show in it.
+    fused verdict includes only a verdict of the prior *for* an edit, which need not show in it, and
+    with `means` (N, 3) by how much what the masks label stands out in the prior.
 
     `probability` (N,) and `verdict`, that of the scene, are from the masks; `seen` (N,) is True for
     Gaussians visible in at least one view; the prior has a weight in [0, 1]. Returns probabilities,
@@ -53,7 +59,8 @@ def fuse(
     else:
         masks_wrong = 1 - verdict if verdict < MIN_MASK_VERDICT else 0.0
     share = weight * prior.verdict * np.where(seen, masks_wrong, 1.0) * prior.known
-    log_odds = weight * max(float(log_odds_of(prior.verdict)), 0.0)
+    rank = None if means is None else rank_in_scene(prior, probability > 0.5, means)
+    log_odds = weight * (max(float(log_odds_of(prior.verdict)), 0.0) + log_odds_of_rank(rank))
     fused_verdict = verdict / (verdict + (1 - verdict) * math.exp(-log_odds))
     from_prior = np.where(prior.known, prior.probability, 0.0)
     return linear_pool(probability, from_prior, share), float(fused_verdict)

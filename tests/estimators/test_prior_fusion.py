@@ -13,8 +13,8 @@ from gsc_jax.estimators.robust.prior_fusion import (
     fuse,
     linear_pool,
     log_odds_of,
-    log_odds_of_rank,
     rank_in_scene,
+    refuted,
 )
 from gsc_jax.scene.neighbours import parts
 
@@ -180,9 +180,40 @@ def test_the_rank_is_a_share(probability, region, known):
 
 
 def test_odds_by_rank_have_a_mean_of_1_over_uniform_ranks():
-    ranks = (np.arange(100_000) + 0.5) / 100_000
-    odds = np.exp([log_odds_of_rank(rank) for rank in ranks])
-    assert odds.mean() == pytest.approx(1, abs=0.02)
-    assert (np.diff(odds) < 0).all()
-    assert odds.min() == pytest.approx(1 / 3, rel=1e-3)
-    assert log_odds_of_rank(None) == 0
+    """What `fuse` multiplies the odds of the masks by."""
+    ordered = np.sort(np.random.default_rng(0).uniform(size=1000))
+    given = Prior(probability=ordered, verdict=0.5, known=np.ones(1000, bool))
+    odds, ranks = [], []
+    for place in range(0, 1000, 10):
+        label = (np.arange(1000) // 10 == place // 10).astype(np.float32)
+        _, verdict = fuse(label, 0.5, label >= 0, given, means=PLACES)
+        odds.append(verdict / (1 - verdict))
+        ranks.append(rank_in_scene(given, label > 0, PLACES))
+    np.testing.assert_allclose(odds, np.array(ranks) ** (-2 / 3) / 3, rtol=1e-6)
+    assert (np.diff(odds) > 0).all()
+    assert 0.8 < np.mean(odds) <= 1
+    assert min(odds) == pytest.approx(1 / 3)
+
+
+@pytest.mark.parametrize("weight", [0.0, 0.5, 1.0])
+def test_the_rank_counts_with_the_weight_of_the_prior(weight):
+    label = FIRST.astype(np.float32)
+    given = Prior(probability=1 - LINE, verdict=0.5, known=np.ones(1000, bool))
+    _, alone = fuse(label, 0.4, FIRST, given, weight)
+    _, verdict = fuse(label, 0.4, FIRST, given, weight, PLACES)
+    rank = rank_in_scene(given, FIRST, PLACES)
+    assert rank is not None
+    expected = log_odds_of(alone) + weight * np.log(rank ** (-2 / 3) / 3)
+    assert log_odds_of(verdict) == pytest.approx(expected)
+
+
+def test_of_rivals_those_that_are_ordinary_are_refuted_if_one_stands_out():
+    region, places = np.zeros(1000, int), {1: 985, 2: 800, 3: 500}  # ranks near 0.01, 0.2 and 0.5
+    for rival, start in places.items():
+        region[start : start + 10] = rival
+    given = Prior(probability=0.9 * LINE, verdict=0.5, known=np.ones(1000, bool))
+    for rivals, wrong in (((1, 2, 3), [3]), ((1, 2), []), ((2, 3), []), ((1, 3), [3]), ((3,), [])):
+        dropped = refuted(np.isin(np.arange(4), rivals), region, given, PLACES)
+        np.testing.assert_array_equal(dropped, np.isin(region, wrong))
+    unknown = Prior(probability=0.9 * LINE, verdict=0.5, known=region != 3)
+    assert not refuted(np.array([False, True, False, True]), region, unknown, PLACES).any()

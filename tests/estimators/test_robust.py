@@ -386,6 +386,25 @@ def test_a_prior_that_contradicts_masks_takes_no_labels():
     assert found.labels.any()
 
 
+@pytest.mark.parametrize(("views", "decided"), [(7, True), (11, False)])
+def test_attributes_decide_between_rivals_only_where_masks_give_no_evidence(views, decided):
+    """An edit and an authentic region are flagged in the same number of views, mostly in others."""
+    flagged = np.zeros((VIEWS, COUNT), bool)
+    flagged[:views, TRUE] = True
+    flagged[VIEWS - views :, KINDS == DECOY] = True
+    evidence, rng = masked(flagged), np.random.default_rng(3)
+    own = np.where(TRUE, 0.45, 0.2) + 0.05 * rng.random(COUNT)
+    given = Prior(probability=own, verdict=0.4, known=ALL)
+    alone, found = estimate(evidence), estimate(evidence, prior=given)
+    assert alone.labels[KINDS == DECOY].mean() > 0.9
+    assert found.labels[TRUE].mean() > 0.9
+    assert found.labels[KINDS == DECOY].mean() < 0.1 or not decided
+    np.testing.assert_array_equal(found.labels[~(KINDS == DECOY)], alone.labels[~(KINDS == DECOY)])
+    assert decided or np.array_equal(found.labels, alone.labels)
+    contradicted = "the masks agree on are not labelled, because their attributes contradict"
+    assert any(contradicted in text for text in found.warnings) == decided
+
+
 def test_a_prior_with_weight_0_changes_nothing():
     estimator = dataclasses.replace(ESTIMATOR, prior_weight=0.0)
     with_prior, without = (

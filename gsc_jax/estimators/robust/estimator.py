@@ -15,14 +15,7 @@ import dataclasses
 
 import numpy as np
 
-from gsc_jax.estimators.protocol import (
-    NONE_FLAGGED,
-    Estimator,
-    Finding,
-    Prior,
-    outcome,
-    unanimous,
-)
+from gsc_jax.estimators.protocol import NONE_FLAGGED, Estimator, Finding, Prior, unanimous
 from gsc_jax.estimators.robust import diagnostics, prior_fusion
 from gsc_jax.estimators.robust.class_roles import Roles, assign_roles, scene_probability
 from gsc_jax.estimators.robust.gaussian_visibility import (
@@ -134,7 +127,7 @@ class RobustEstimator(Estimator):
         from_masks = scene_probability(*((roles.rate, roles.views) if roles else (0.0, views)))
         probability, verdict, known = lifted.probability, from_masks, lifted.seen
         if prior is not None:
-            if roles and outcome(from_masks) != "evidence":
+            if roles and from_masks < prior_fusion.SURE_MASKS:
                 rivals = prior_fusion.refuted(roles.tampered, lifted.region, prior, means)
                 probability = np.where(rivals, np.float32(0), probability)
             fused = prior_fusion.fuse(probability, verdict, known, prior, self.prior_weight, means)

@@ -12,7 +12,7 @@ import math
 import numpy as np
 from scipy.special import logit
 
-from gsc_jax.estimators.protocol import Prior
+from gsc_jax.estimators.protocol import EVIDENCE_FROM, Prior
 from gsc_jax.scene import Array
 from gsc_jax.scene.neighbours import parts
 
@@ -21,7 +21,8 @@ PROBABILITY_FLOOR = 1e-9
 MIN_MASK_VERDICT = 0.15
 """Scene probability of the masks below which a prior may replace them: less than 40 % of many views
 flag the region. Masks that missed 42 edits in 40 % of the views had 0.19 or more."""
-
+SURE_MASKS = EVIDENCE_FROM
+"""Scene probability of the masks from which they alone decide between rivals."""
 MIN_PARTS = 64
 """Parts of the rest of a scene, at least, with which a region is compared."""
 CALIBRATOR = 1 / 3
@@ -60,7 +61,8 @@ def fuse(
         masks_wrong = 1 - verdict if verdict < MIN_MASK_VERDICT else 0.0
     share = weight * prior.verdict * np.where(seen, masks_wrong, 1.0) * prior.known
     rank = None if means is None else rank_in_scene(prior, probability > 0.5, means)
-    log_odds = weight * (max(float(log_odds_of(prior.verdict)), 0.0) + log_odds_of_rank(rank))
+    odds_of_rank = 1.0 if rank is None else CALIBRATOR * rank ** (CALIBRATOR - 1)
+    log_odds = weight * (max(float(log_odds_of(prior.verdict)), 0.0) + math.log(odds_of_rank))
     fused_verdict = verdict / (verdict + (1 - verdict) * math.exp(-log_odds))
     from_prior = np.where(prior.known, prior.probability, 0.0)
     return linear_pool(probability, from_prior, share), float(fused_verdict)
@@ -95,11 +97,6 @@ def refuted(tampered: np.ndarray, region: np.ndarray, prior: Prior, means: Array
     ranks = [rank_in_scene(prior, region == rival, means) for rival in rivals]
     ranks = np.array([ORDINARY if rank is None else rank for rank in ranks])
     return np.isin(region, rivals[(ranks > ORDINARY) & (ranks.min() <= STANDS_OUT)])
-
-
-def log_odds_of_rank(p: float | None) -> float:
-    """Log odds of an edit by `rank_in_scene`: log(1/3) for p = 1, above 0 for p below 0.19."""
-    return 0.0 if p is None else math.log(CALIBRATOR) + (CALIBRATOR - 1) * math.log(p)
 
 
 def linear_pool(first: np.ndarray, second: np.ndarray, share: np.ndarray) -> np.ndarray:

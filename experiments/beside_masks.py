@@ -39,7 +39,9 @@ def rows_of(case: Case) -> Iterator[Row]:
     wrong, pristine = wrong_prior(case), without_edit(case)
     tree = KDTree(np.asarray(case.gaussians.means))
     failures = {name: REGIMES[name] for name in FAILURES}
-    for own, regimes in ((case, STRENGTHS), (pristine, failures)):
+    # Masks of a pasted object mark no region of the scene without it.
+    pairs = [(case, STRENGTHS), (pristine, failures)][: 1 if case.edit == "incorporation" else 2]
+    for own, regimes in pairs:
         nearest = tree.query(np.asarray(own.gaussians.means))[1]
         elsewhere = Prior(
             probability=wrong.probability[nearest],

@@ -172,11 +172,8 @@ def textured(texture: Texture, uv: np.ndarray) -> np.ndarray:
     texels = np.sqrt(np.prod(texture.repeat) * rows * columns / len(uv))
     image = _image(texture.image, int(np.clip(round(texels), 1, min(rows, columns) // 8)))
     column, row = (uv * texture.repeat * image.shape[1::-1] - 0.5).T
-    channels = [
-        scipy.ndimage.map_coordinates(channel, [row, column], order=1, mode="grid-wrap")
-        for channel in np.moveaxis(image, -1, 0)
-    ]
-    rgb = np.stack(channels, axis=-1)
+    at = functools.partial(scipy.ndimage.map_coordinates, order=1, mode="grid-wrap")
+    rgb = np.stack([at(channel, [row, column]) for channel in np.moveaxis(image, -1, 0)], axis=-1)
     mean = rgb.mean(axis=0)
     return np.clip((mean + texture.contrast * (rgb - mean)) * texture.tint, 0, 1)
 

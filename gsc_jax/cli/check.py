@@ -4,10 +4,11 @@ import dataclasses
 import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 import tyro
+from plyfile import PlyData
 
 from gsc_jax.cli.options import Switch, arg
 from gsc_jax.forensics.copy_move import row_hashes
@@ -19,9 +20,6 @@ from gsc_jax.render.projection import MIN_ALPHA
 from gsc_jax.render.spherical_harmonics import Y0
 from gsc_jax.render.visibility import scale_warnings
 from gsc_jax.scene import Gaussians, InputError
-
-if TYPE_CHECKING:
-    from plyfile import PlyData
 
 INRIA = (*POSITION, *NORMAL, *DC, *REST, "opacity", *SCALE, *ROTATION)
 HASH_FACTOR = np.uint64(0x9E3779B97F4A7C15)
@@ -102,7 +100,7 @@ def _count(number: int, noun: str) -> str:
     return f"{number:,} {noun}{'' if number == 1 else 's'}"
 
 
-def layout_problems(ply: "PlyData") -> Iterator[Problem]:
+def layout_problems(ply: PlyData) -> Iterator[Problem]:
     """What readers other than this package may not expect of the layout of a PLY file."""
     vertex = ply["vertex"]
     names = [prop.name for prop in vertex.properties]
@@ -177,7 +175,7 @@ def _extremes(
     yield "note", "rotations", abs(length - 1) > UNIT_TOLERANCE, text
 
 
-def _format(path: Path, ply: "PlyData") -> str:
+def _format(path: Path, ply: PlyData) -> str:
     if path.is_dir() or path.suffix.lower() in SUFFIXES:
         return "folder of a SOG" if path.is_dir() else path.suffix.lower()
     with path.open("rb") as file:

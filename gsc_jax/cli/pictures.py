@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+import scipy  # whose submodules load when they are first used
 
 from gsc_jax.io.files import atomic
 from gsc_jax.io.masks import image_path
@@ -22,13 +23,11 @@ SHEET_ROWS = 4
 
 def overlay(rgb: np.ndarray, mask: np.ndarray, tint: np.ndarray = TINT) -> np.ndarray:
     """Tint and outline a mask (H, W) in a copy of a picture (H, W, 3) in [0, 1]."""
-    from scipy.ndimage import binary_dilation
-
     rgb, mask = np.asarray(rgb, np.float32), np.asarray(mask, bool)
     picture = np.where(mask[..., None], (1 - TINT_STRENGTH) * rgb + TINT_STRENGTH * tint, rgb)
     width = max(1, round(min(mask.shape) / 240))  # 2 pixels in a render of 640x480
-    outline = np.asarray(binary_dilation(mask, iterations=width)) & ~mask
-    halo = np.asarray(binary_dilation(outline, iterations=width)) & ~outline
+    outline = np.asarray(scipy.ndimage.binary_dilation(mask, iterations=width)) & ~mask
+    halo = np.asarray(scipy.ndimage.binary_dilation(outline, iterations=width)) & ~outline
     picture[halo] *= 0.4
     picture[outline] = OUTLINE
     return picture

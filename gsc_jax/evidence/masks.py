@@ -13,6 +13,7 @@ from typing import Any, Literal, NamedTuple, Protocol
 import jax
 import jax.numpy as jnp
 import numpy as np
+import skimage  # whose submodules load when they are first used
 from jax.core import Tracer
 
 from gsc_jax.evidence.monitor import Monitor
@@ -112,8 +113,6 @@ def pictures(
     near: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Render a view once: its mask (see `view_mask`), RGB of 8 bits, (H, W, 3), scores, (H, W)."""
-    from skimage.util import img_as_ubyte
-
     features = jnp.stack([jnp.asarray(scored.labels, jnp.float32), scored.tamper], axis=1)
     rgb = colors(gaussians.sh, gaussians.means, camera.center)
     view = make_view(gaussians, camera, near=near)
@@ -124,7 +123,7 @@ def pictures(
     mask = share > 0.5 if rule == "share" else score > threshold
     if rule == "per-view":
         mask = _per_view_mask(gaussians, camera, scored, threshold=threshold, near=near)
-    return mask, img_as_ubyte(np.minimum(image[..., 2:], 1.0)), score
+    return mask, skimage.util.img_as_ubyte(np.minimum(image[..., 2:], 1.0)), score
 
 
 def stored_masks(

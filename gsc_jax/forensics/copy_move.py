@@ -10,6 +10,8 @@ import functools
 from collections.abc import Callable
 
 import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from gsc_jax.forensics.traces import MIN_REGION, Trace, make_trace, region_scores
@@ -82,9 +84,6 @@ def moved_together(means: np.ndarray, neighbours: np.ndarray, duplicates: np.nda
 
 def _coincidences(marked: np.ndarray, far: np.ndarray, neighbours: np.ndarray) -> np.ndarray:
     """Marked Gaussians of connected parts that are small, or hardly moved, shape (N,) bool."""
-    from scipy.sparse import csr_array
-    from scipy.sparse.csgraph import connected_components
-
     if not marked.any():
         return marked
     rows, place = np.flatnonzero(marked), np.cumsum(marked) - 1

@@ -7,6 +7,7 @@ split large scenes into tiles with a codebook each, so a large part with its own
 """
 
 import numpy as np
+import scipy  # whose submodules load when they are first used
 
 from gsc_jax.forensics.traces import Trace, make_trace, region_scores
 from gsc_jax.scene import Gaussians
@@ -77,11 +78,9 @@ def off_levels(column: np.ndarray, neighbours: np.ndarray) -> tuple[np.ndarray, 
 
 def _between_levels(values: np.ndarray, common: np.ndarray) -> np.ndarray:
     """Mask of values between two levels whose gap is typical there, shape (V,)."""
-    from scipy.ndimage import median_filter
-
     levels = values[common].astype(np.float64)
     gaps = np.diff(levels)
-    typical = gaps <= MAX_GAP_RATIO * median_filter(gaps, 2 * BIN + 1, mode="nearest")
+    typical = gaps <= MAX_GAP_RATIO * scipy.ndimage.median_filter(gaps, 2 * BIN + 1, mode="nearest")
     after = np.searchsorted(levels, values)
     between = (after > 0) & (after < len(levels))
     return between & typical[np.clip(after - 1, 0, len(gaps) - 1)]
@@ -136,11 +135,10 @@ def _excess(pairs: np.ndarray, bins: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 def _leading_vectors(excess: np.ndarray) -> np.ndarray:
     """Eigenvectors of at most four eigenvalues that indicate further sets, shape (L, D)."""
-    from scipy.sparse.linalg import eigsh
-
     start = np.random.default_rng(0).normal(size=len(excess))
     # Of a matrix of zeros, ARPACK finds no vectors, of the identity it does.
-    values, vectors = eigsh(excess + np.eye(len(excess)), 4, which="LA", v0=start)
+    shifted = excess + np.eye(len(excess))
+    values, vectors = scipy.sparse.linalg.eigsh(shifted, 4, which="LA", v0=start)
     return vectors[:, np.argsort(values)][:, np.sort(values) > 1 + MIN_EIGENVALUE]
 
 

@@ -10,18 +10,16 @@ import gzip
 import importlib
 import struct
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from plyfile import PlyData
 
 from gsc_jax.io.files import check_allocation
 from gsc_jax.io.sog import INDEX, META, read_sog
 from gsc_jax.io.validation import reported, shown
 from gsc_jax.io.web_formats import read_glb, read_ksplat, read_splat
 from gsc_jax.scene import Gaussians, InputError
-
-if TYPE_CHECKING:
-    from plyfile import PlyData
 
 READERS = {".splat": read_splat, ".ksplat": read_ksplat, ".glb": read_glb}
 SUFFIXES = (".spz", ".sog", *READERS)
@@ -69,7 +67,7 @@ def _gsply(path: Path) -> Any:
         ) from error
 
 
-def is_compressed_ply(ply: "PlyData", path: Path) -> bool:
+def is_compressed_ply(ply: PlyData, path: Path) -> bool:
     """Return whether a parsed PLY holds packed Gaussians, as PlayCanvas and SuperSplat write them.
 
     A layout that gsply does not assume raises InputError: gsply would read out of bounds.

@@ -6,15 +6,12 @@ of green, then of blue. Properties are found by name, in any order and of any nu
 """
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import jax
 import numpy as np
+from plyfile import PlyData, PlyElement
 
 from gsc_jax.scene import Array, Gaussians, InputError
-
-if TYPE_CHECKING:
-    from plyfile import PlyData, PlyElement
 
 POSITION = ("x", "y", "z")
 NORMAL = ("nx", "ny", "nz")
@@ -29,7 +26,7 @@ FLAT_LOG_SCALE = float(np.log(1e-6))
 """Third log scale of a 2DGS disc, whose file has only two; far below the size of a pixel."""
 
 
-def decode(vertex: "PlyElement", path: Path) -> Gaussians:
+def decode(vertex: PlyElement, path: Path) -> Gaussians:
     """Extract all rows of a vertex element as Gaussians, NumPy float32.
 
     Normals and other properties are ignored; `scale_2` may be missing (2DGS). Rows that cannot be
@@ -67,10 +64,8 @@ def decode(vertex: "PlyElement", path: Path) -> Gaussians:
     )
 
 
-def encode(gaussians: Gaussians) -> "PlyData":
+def encode(gaussians: Gaussians) -> PlyData:
     """Arrange Gaussians in the INRIA layout: normals zero, everything little endian float32."""
-    from plyfile import PlyData, PlyElement
-
     host = jax.tree.map(np.asarray, gaussians)
     normals, first, rest = np.zeros_like(host.means), host.sh[:, 0], host.sh[:, 1:]
     columns = [host.means, normals, first, *np.moveaxis(rest, 2, 0)]
@@ -94,7 +89,7 @@ def checked_scores(path: str | Path, tamper: Array, count: int) -> np.ndarray:
     return real
 
 
-def _columns(vertex: "PlyElement", names: tuple[str, ...]) -> np.ndarray:
+def _columns(vertex: PlyElement, names: tuple[str, ...]) -> np.ndarray:
     # Numbers of float64 beyond float32 become infinite, signalling NaNs quiet ones: invalid rows.
     with np.errstate(over="ignore", invalid="ignore"):
         columns = [vertex.data[name] for name in names]

@@ -13,6 +13,7 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import TYPE_CHECKING
 
 import numpy as np
+import skimage  # whose submodules load when they are first used
 
 from gsc_jax.io.files import atomic, check_allocation, existing_file
 from gsc_jax.io.validation import reported, shown
@@ -64,12 +65,10 @@ def read_probability(
     Raises:
         InputError: If the file is missing, damaged, coloured or too large, or holds several images.
     """
-    from skimage.util import img_as_float32
-
     grey = read_grey(path, max_bytes=max_bytes)
     if grey.dtype == np.uint8 and (grey.max() <= 1 if zero_one is None else zero_one):
         grey = grey > 0
-    return img_as_float32(grey)
+    return skimage.util.img_as_float32(grey)
 
 
 def read_grey(path: str | Path, *, max_bytes: int | None = None) -> np.ndarray:
@@ -112,10 +111,8 @@ def write_mask(path: str | Path, mask: np.ndarray) -> None:
 
 def write_image(path: str | Path, rgb: np.ndarray) -> None:
     """Write a colour image, clipped to [0, 1], shape (H, W, 3), as 8-bit .png or as .jpg."""
-    from skimage.util import img_as_ubyte
-
     kind = "JPEG" if Path(path).suffix == ".jpg" else "PNG"
-    _write(path, img_as_ubyte(np.clip(np.asarray(rgb, np.float32), 0, 1)), kind)
+    _write(path, skimage.util.img_as_ubyte(np.clip(np.asarray(rgb, np.float32), 0, 1)), kind)
 
 
 def image_path(folder: str | Path, name: str) -> Path:

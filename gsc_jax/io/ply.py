@@ -12,10 +12,10 @@ import io
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import jax
 import numpy as np
+from plyfile import PlyData, PlyElement, PlyElementParseError, PlyProperty
 
 from gsc_jax.io import compressed
 from gsc_jax.io.files import atomic, check_allocation, existing_file
@@ -26,9 +26,6 @@ from gsc_jax.scene import Array, Gaussians, InputError, invalid_rows
 from gsc_jax.scene.gaussians import usable_rows
 from gsc_jax.scene.parallel import blocks
 from gsc_jax.scene.pytree import short_repr
-
-if TYPE_CHECKING:
-    from plyfile import PlyData, PlyElement
 
 LUMA = np.array([0.299, 0.587, 0.114])
 """Weights of red, green and blue in the luminance (ITU-R BT.601)."""
@@ -54,7 +51,7 @@ class PlyScene:
 
     gaussians: Gaussians
     rows: np.ndarray
-    ply: "PlyData"
+    ply: PlyData
     dropped: dict[str, int]
 
     __repr__ = short_repr
@@ -159,7 +156,7 @@ def save_tampered(
     scores, vertex = checked_scores(path, tamper, len(scene.rows)), copy.copy(scene.ply["vertex"])
     scores, data = scene.expand(scores)[chosen], vertex.data[chosen]
 
-    def vertices(rows: slice) -> "PlyElement":
+    def vertices(rows: slice) -> PlyElement:
         vertex.data = data[rows]
         return _with_tamper(vertex, scores[rows])
 
@@ -173,24 +170,20 @@ def save_parts(
     scores: np.ndarray | None = None,
 ) -> None:
     """Write the Gaussians that `part` gives for rows of a scene, if they could be read again."""
-    from plyfile import PlyData
-
     if 3 * np.shape(gaussians.sh)[1] - 3 not in REST_COUNTS or not usable_rows(gaussians).any():
         raise InputError(
             f"{path}: not written: expected Gaussians that can be rendered, of degree 0 to 3, "
             f"found {len(gaussians)} with colours of shape {np.shape(gaussians.sh)}"
         )
 
-    def vertices(rows: slice) -> "PlyElement":
+    def vertices(rows: slice) -> PlyElement:
         vertex = encode(part(rows))["vertex"]
         return vertex if scores is None else _with_tamper(vertex, scores[rows])
 
     _write(path, PlyData([vertices(slice(0, 1))], byte_order="<"), vertices, len(gaussians))
 
 
-def _parse(path: Path, max_bytes: int | None) -> "PlyData":
-    from plyfile import PlyData, PlyElementParseError
-
+def _parse(path: Path, max_bytes: int | None) -> PlyData:
     expected = "; expected the .ply of a 3D Gaussian splatting scene (a .splat needs that suffix)"
     with reported(f"{path}: not a PLY file that can be read", expected):
         _check_header(path, max_bytes)
@@ -234,7 +227,7 @@ def _check_header(path: Path, max_bytes: int | None) -> None:
     check_allocation(path, needed, max_bytes)
 
 
-def _scene(ply: "PlyData", path: Path) -> PlyScene:
+def _scene(ply: PlyData, path: Path) -> PlyScene:
     if "vertex" not in ply or not len(ply["vertex"]):
         raise InputError(f"{path}: holds no Gaussians (no vertices); export the scene again")
     stored = decode(ply["vertex"], path)
@@ -254,10 +247,8 @@ def _scene(ply: "PlyData", path: Path) -> PlyScene:
     return scene
 
 
-def _with_tamper(vertex: "PlyElement", scores: np.ndarray) -> "PlyElement":
+def _with_tamper(vertex: PlyElement, scores: np.ndarray) -> PlyElement:
     """Copy of vertices with their scores as the last property `tamper`."""
-    from plyfile import PlyProperty
-
     scored = copy.copy(vertex)  # keeps comments and the types of list properties
     kept = [prop for prop in vertex.properties if prop.name != "tamper"]
     dtype = [(prop.name, vertex.data.dtype[prop.name]) for prop in kept]
@@ -270,7 +261,7 @@ def _with_tamper(vertex: "PlyElement", scores: np.ndarray) -> "PlyElement":
 
 
 def _write(
-    path: str | Path, ply: "PlyData", vertices: Callable[[slice], "PlyElement"], count: int
+    path: str | Path, ply: PlyData, vertices: Callable[[slice], PlyElement], count: int
 ) -> None:
     """Write a PLY whose `count` vertices are computed in blocks, which bounds the memory.
 
@@ -290,10 +281,8 @@ def _write(
                 file.write(_with_lists(part) if data.dtype.hasobject else data.view(np.uint8))
 
 
-def _with_lists(element: "PlyElement") -> memoryview:
+def _with_lists(element: PlyElement) -> memoryview:
     """Rows that hold lists, in little endian."""
-    from plyfile import PlyData
-
     alone, stream = PlyData([element], byte_order="<"), io.BytesIO()
     alone.write(stream)
     return stream.getbuffer()[len(alone.header) + 1 :]

@@ -161,7 +161,8 @@ class RobustEstimator(Estimator):
         if flagged and seen.any():
             roles = self._roles(evidence, *stratified_sample(seen_sum, flagged_sum, self.sample))
         if roles is None:
-            return MaskEstimate(probability=np.zeros(len(seen), np.float32), seen=seen)
+            nothing = np.zeros(len(seen), np.float32)
+            return MaskEstimate(probability=nothing, seen=seen, region=nothing.astype(np.int8))
         logits = -self.class_log_odds * pattern_distance(evidence, roles, self.half_weight)
         class_probability = smooth(
             logits, roles.tampered, means, seen, strength=self.smoothing, neighbours=self.neighbours
@@ -201,14 +202,14 @@ class MaskEstimate:
     Attributes:
         probability: Probability of tampering, given an edit, shape (N,) float32; 0 if unseen.
         seen: Mask of the Gaussians visible in at least one view, shape (N,) bool.
+        region: Most probable class, in the order of the roles, shape (N,) int8; 0 without roles.
         roles: Roles of the latent classes; None if there is only one class.
-        region: Most probable class, in the order of the roles, shape (N,) int8; None without roles.
     """
 
     probability: np.ndarray
     seen: np.ndarray
+    region: np.ndarray
     roles: Roles | None = None
-    region: np.ndarray | None = None
 
 
 def pattern_distance(evidence: EvidenceOfViews, roles: Roles, half_weight: float) -> np.ndarray:

@@ -36,7 +36,11 @@ PAIR = {"edited": "misses", "authentic": "consistent"}
 
 def rows_of(case: Case) -> Iterator[Row]:
     """Measure the scene probability of a case and of the scene without its edit."""
-    wrong, pristine = wrong_prior(case), without_edit(case)
+    try:
+        wrong = wrong_prior(case)
+    except ValueError:  # no other region is far enough from a large edit
+        return
+    pristine = without_edit(case)
     tree = KDTree(np.asarray(case.gaussians.means))
     failures = {name: REGIMES[name] for name in FAILURES}
     # Masks of a pasted object mark no region of the scene without it.

@@ -1,5 +1,7 @@
 """Roles of classes, from rates and weights written by hand."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.special import expit
@@ -196,7 +198,7 @@ def test_a_part_of_the_edit_that_is_covered_where_it_is_not_flagged_is_no_other_
         assert found.tampered.tolist() == [False, True]
 
 
-def distinct(first, other, *, first_weights=1.0, other_weights=1.0):
+def distinct(first, other, *, first_weights: Any = 1.0, other_weights: Any = 1.0) -> bool:
     """Whether a class is another object than the first one."""
     views = len(first)
     weights = np.ones((3, views)) * np.stack(

@@ -378,10 +378,11 @@ def test_a_prior_that_contradicts_masks_takes_no_labels():
     flagged = np.zeros((VIEWS, COUNT), bool)
     flagged[:4, TRUE] = True
     evidence = masked(flagged)
-    alone = estimate(evidence)
-    least = dataclasses.replace(ESTIMATOR, min_verdict=alone.verdict)
-    found = estimate(evidence, least, Prior(probability=0.6 - 0.2 * TRUE, verdict=0.5, known=ALL))
-    assert found.verdict < alone.verdict
+    alone, given = estimate(evidence), Prior(probability=0.6 - 0.2 * TRUE, verdict=0.5, known=ALL)
+    least = dataclasses.replace(ESTIMATOR, min_verdict=verdict_of(evidence))
+    found = estimate(evidence, least, given)
+    assert found.verdict is not None
+    assert found.verdict < verdict_of(evidence)
     np.testing.assert_array_equal(found.labels, alone.labels)
     assert found.labels.any()
 

@@ -1,7 +1,5 @@
 """Roles of classes, from rates and weights written by hand."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 from scipy.special import expit
@@ -58,16 +56,8 @@ def test_a_class_with_rates_near_one_half_is_no_distractor():
 
 
 def test_a_class_flagged_nearly_as_often_is_a_second_edit():
-    first = [HIGH] * 16 + [LOW] * 4
-    for flagged, second in ((13, True), (12, False)):  # 0.8 of 16 is 12.8
-        other = [HIGH] * 11 + [LOW] * 5 + [HIGH] * (flagged - 11) + [LOW] * (15 - flagged)
-        found = roles([LOW] * 20, first, other)
-        assert found.tampered.tolist() == [False, True, second]
-
-
-def test_a_class_flagged_in_most_views_of_the_edit_is_no_distractor():
     found = roles([LOW] * 12, [HIGH] * 12, [LOW] * 2 + [HIGH] * 10)
-    assert found.tampered.tolist() == [False, True]
+    assert found.tampered.tolist() == [False, True, True]
 
 
 def test_views_that_do_not_see_a_class_do_not_count():
@@ -198,60 +188,11 @@ def test_a_part_of_the_edit_that_is_covered_where_it_is_not_flagged_is_no_other_
         assert found.tampered.tolist() == [False, True]
 
 
-def distinct(first, other, *, first_weights: Any = 1.0, other_weights: Any = 1.0) -> bool:
-    """Whether a class is another object than the first one."""
-    views = len(first)
-    weights = np.ones((3, views)) * np.stack(
-        [np.ones(views), first_weights * np.ones(views), other_weights * np.ones(views)]
-    )
-    return len(roles([LOW] * views, first, other, weights=weights).tampered) == 3
-
-
-def test_views_that_separate_a_fifth_of_the_flagged_ones_make_two_objects():
-    assert distinct([HIGH] * 10, [HIGH] * 8 + [LOW] * 2)
-    assert not distinct([HIGH] * 11, [HIGH] * 9 + [LOW] * 2)
-    assert distinct([HIGH] * 9 + [LOW] * 2, [HIGH] * 8 + [LOW, HIGH, LOW])  # 1 of 9 of each alone
-
-
-def test_views_that_flag_neither_class_do_not_make_them_one_object():
-    for missed in (0, 20, 200):
-        edit = [HIGH] * 20 + [LOW] * missed
-        assert distinct(edit, [HIGH] * 15 + [LOW] * (5 + missed))
-        assert not distinct(edit, [HIGH] * 17 + [LOW] * (3 + missed))
-
-
-def test_views_from_far_away_count_like_near_ones_if_they_see_enough():
-    near, far = [1.0] * 5, [0.2] * 20
-    for weights in (near + far, far[:5] + near * 4):
-        assert distinct(
-            [HIGH] * 25,
-            [HIGH] * 5 + [LOW] * 20,
-            first_weights=np.array(weights),
-            other_weights=np.array(weights),
-        )
-
-
-def test_views_that_hardly_see_either_class_count_little():
-    weights = np.array([1.0] * 20 + [0.02] * 40)  # the last views count a tenth
-    flagged, other = [HIGH] * 60, [HIGH] * 20 + [LOW] * 40
-    assert not distinct(flagged, other, first_weights=weights, other_weights=weights)
-
-
-def test_a_view_counts_less_if_what_it_does_not_flag_is_covered():
-    first, other = [HIGH] * 8, [HIGH] * 4 + [LOW] * 4
-    for share, expected in ((0.26, True), (0.24, False)):  # 4 * share of 4 + 4 * share
-        covered = np.array([1.0] * 4 + [share] * 4)
-        assert distinct(first, other, other_weights=covered) == expected
-        assert distinct(first, other, first_weights=covered), "what is flagged is covered"
-        assert distinct(first, other, first_weights=covered, other_weights=covered)
-
-
-def test_a_view_that_flags_both_counts_as_much_as_it_shows_them_alike():
-    flagged, other = [HIGH] * 11, [HIGH] * 9 + [LOW] * 2
-    assert not distinct(flagged, other)
-    weights = np.array([1.0] * 3 + [0.3] * 6 + [1.0] * 2)  # 2 of 5 + 6 * 0.3
-    assert distinct(flagged, other, other_weights=weights)
-    assert distinct(flagged, other, first_weights=weights)
+def test_views_that_separate_fifteen_percent_of_what_two_classes_show_make_them_two_objects():
+    for share, count in ((0.18, 3), (0.17, 2)):
+        rates, weights = [HIGH] * 4 + [LOW] * 4, [1] * 4 + [share] * 4
+        found = roles([LOW] * 8, [HIGH] * 8, rates, weights=[[1] * 8, [1] * 8, weights])
+        assert len(found.tampered) == count
 
 
 def test_the_scene_probability_is_logistic_with_two_pseudo_views():

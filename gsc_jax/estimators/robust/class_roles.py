@@ -25,9 +25,9 @@ RATE_DIFFERENCE = 0.6
 """A view separates two classes if their rates differ by more."""
 SAME_PATTERN_VIEWS = 1.5
 """Classes that fewer views separate count as one object."""
-SEPARATED_SHARE = 0.2
-"""Two classes are also one object if less than this share of the views that flag one of them
-separates them: views in which a part of an edit is covered flag that part by chance."""
+SEPARATED_SHARE = 0.15
+"""Two classes are also one object if less than this share of what both show is in views that
+separate them: views in which a part of an edit is covered flag that part by chance."""
 NEGLIGIBLE_WEIGHT = 1e-4
 """Share of all weight below which a class is ignored."""
 NEAR_BEST = 0.9
@@ -97,7 +97,8 @@ def assign_roles(
     distinct = others & distractors & (table.sharpness >= MIN_SHARPNESS)
     distinct &= table.separating_views(first) >= SAME_PATTERN_VIEWS
     distinct &= table.separating_views(authentic) >= 0.5
-    distinct &= table.separated_share(first, shown_share) >= SEPARATED_SHARE
+    both_shown = np.minimum(shown_share, shown_share[first])
+    distinct &= (both_shown * table.differs(first)).sum(1) >= SEPARATED_SHARE * both_shown.sum(1)
     often = table.flag_frequency > SECOND_EDIT * table.flag_frequency[first]
     second, distractor = np.flatnonzero(distinct & often), np.flatnonzero(distinct & ~often)
     patterns = [
@@ -139,19 +140,6 @@ class _RateTable:
     def separating_views(self, other: int) -> np.ndarray:
         """Number of views that separate each class from another one, shape (K,)."""
         return (np.minimum(self.seen, self.seen[other]) * self.differs(other)).sum(axis=1)
-
-    def separated_share(self, other: int, shown: np.ndarray) -> np.ndarray:
-        """Share of the views that flag a class or another one which separates them, shape (K,).
-
-        A view counts less where it shows less of one class than of the other, by `shown` (K, V),
-        but fully if it does not flag the one of which it shows more.
-        """
-        shown, separated = np.maximum(shown, 1e-30), self.differs(other)
-        ratio = np.where(self.rates < self.rates[other], shown / shown[other], shown[other] / shown)
-        alike = np.minimum(1, np.where(separated, ratio, np.minimum(ratio, 1 / ratio)))
-        flagged = np.maximum(self.rates, self.rates[other]) > 0.5
-        weights = flagged * alike * np.minimum(self.seen, self.seen[other])
-        return (weights * separated).sum(axis=1) / np.maximum(weights.sum(axis=1), 1e-30)
 
     def differs(self, other: int) -> np.ndarray:
         """Which views separate each class from another one, shape (K, V)."""

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 import tyro
-from plyfile import PlyData
+from plyfile import PlyData, PlyListProperty
 
 from gsc_jax.cli.options import Switch, arg
 from gsc_jax.forensics.copy_move import row_hashes
@@ -81,6 +81,9 @@ def run_check(options: Check, *, say: Callable[[str], None]) -> tuple[list[str],
         raise
     problems = [*layout_problems(scene.ply), *row_problems(scene)]
     facts |= {"usable": True, "format": _format(path, scene.ply), "rows": scene.total}
+    if facts["format"].startswith("binary") and (more := _bytes_after(path, scene.ply)):
+        text = f"{more:,} bytes follow the last row; readers ignore them, they may hide anything"
+        problems.append(Problem("warning", "bytes after the end", 0, text))
     facts |= {"gaussians": len(scene.rows), "sh_degree": scene.gaussians.sh_degree}
     if options.json:
         report = {**facts, "problems": [problem._asdict() for problem in problems]}
@@ -184,3 +187,14 @@ def _format(path: Path, ply: PlyData) -> str:
         return ".compressed.ply"
     orders = {"<": "little", ">": "big"}
     return "ascii .ply" if ply.text else f"binary {orders.get(ply.byte_order, '')} endian .ply"
+
+
+def _bytes_after(path: Path, ply: PlyData) -> int:
+    """Bytes after the last row of a binary file; 0 if it has lists, whose length varies."""
+    properties = [prop for element in ply.elements for prop in element.properties]
+    if any(isinstance(prop, PlyListProperty) for prop in properties):
+        return 0
+    with path.open("rb") as file:
+        header, mark, _ = file.read(MAX_HEADER_BYTES).partition(b"end_header")
+    start = len(header) + len(mark) + 1 + (b"\r\n" in header)
+    return path.stat().st_size - start - sum(element.data.nbytes for element in ply.elements)

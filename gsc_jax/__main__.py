@@ -64,10 +64,10 @@ class _Stop:
 
     def _raise_again(self, ignored: Any) -> None:
         """Interrupt once more where the first one fell into a callback, which ignores errors."""
-        if ignored.exc_type is not KeyboardInterrupt:
+        if ignored.exc_type is not KeyboardInterrupt or not self.number:
             return sys.__unraisablehook__(ignored)
         number, self.number = self.number, 0
-        threading.Timer(0.01, signal.raise_signal, [number]).start()
+        threading.Timer(0.01, signal.pthread_kill, [threading.main_thread().ident, number]).start()
 
     def _enforce(self) -> None:
         number = self._reader.recv(1)[0]

@@ -53,6 +53,8 @@ class Result:
         seen: Gaussians visible in at least one view, or without a detector those whose attributes
             could be used, shape (N,) bool.
         group_sizes: Sizes of G_h, G_m and G_l in every iteration, shape (iterations, 3).
+        rank: Share of the other parts of the scene that stand out more by the prior than what the
+            masks label; None where it was not asked.
         early_stopping: How many views were used and why; None if all were used regardless.
         prior: Prior of the method; None if it used none.
         estimator: The estimator with its configuration.
@@ -70,6 +72,7 @@ class Result:
     probabilities: Mapping[str, np.ndarray]
     seen: np.ndarray
     group_sizes: np.ndarray
+    rank: float | None
     early_stopping: EarlyStopping | None
     prior: Prior | None
     estimator: Estimator
@@ -158,6 +161,7 @@ def locate(
         probabilities=found.probabilities,
         seen=found.seen,
         group_sizes=finding.group_sizes,
+        rank=finding.rank,
         early_stopping=found.early_stopping,
         prior=known if estimator.uses_prior else None,
         estimator=estimator,

@@ -89,6 +89,7 @@ def run(
         },
         seen=np.arange(COUNT) < COUNT - 7,
         group_sizes=np.zeros((0, 3), np.int32),
+        rank=0.02,
         early_stopping=EarlyStopping(
             views=len(names), available=3 * len(names), changes=(0.3, 0.0125)
         ),

@@ -82,7 +82,7 @@ def run_check(options: Check, *, say: Callable[[str], None]) -> tuple[list[str],
     problems = [*layout_problems(scene.ply), *row_problems(scene)]
     facts |= {"usable": True, "format": _format(path, scene.ply), "rows": scene.total}
     if facts["format"].startswith("binary") and (more := _bytes_after(path, scene.ply)):
-        text = f"{more:,} bytes follow the last row; readers ignore them, they may hide anything"
+        text = f"{_count(more, 'byte')} after the last row, which readers ignore; export it again"
         problems.append(Problem("warning", "bytes after the end", 0, text))
     facts |= {"gaussians": len(scene.rows), "sh_degree": scene.gaussians.sh_degree}
     if options.json:
@@ -195,6 +195,6 @@ def _bytes_after(path: Path, ply: PlyData) -> int:
     if any(isinstance(prop, PlyListProperty) for prop in properties):
         return 0
     with path.open("rb") as file:
-        header, mark, _ = file.read(MAX_HEADER_BYTES).partition(b"end_header")
+        header, mark, _ = file.read(MAX_HEADER_BYTES).partition(b"\nend_header")
     start = len(header) + len(mark) + 1 + (b"\r\n" in header)
     return path.stat().st_size - start - sum(element.data.nbytes for element in ply.elements)

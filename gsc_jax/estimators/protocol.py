@@ -98,6 +98,8 @@ class Finding:
         group_sizes: Sizes of G_h, G_m and G_l in every iteration, shape (iterations, 3).
         verdict: Scene probability: that anything was edited; None if the estimator gives none.
         reliability: Reliability of each mask, in the order of the cameras; empty if not inferred.
+        rank: Share of the other parts of the scene that stand out more in the prior than what the
+            masks label; None where it was not asked.
         warnings: Sentences for the user.
 
     Raises:
@@ -110,6 +112,7 @@ class Finding:
     group_sizes: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 3), np.int32))
     verdict: float | None = None
     reliability: tuple[Reliability, ...] = ()
+    rank: float | None = None
     warnings: list[str]
 
     __repr__ = short_repr

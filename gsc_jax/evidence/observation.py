@@ -143,7 +143,7 @@ def _prepare(
 
 def check_cameras(cameras: Camera | Iterable[Camera]) -> list[Camera]:
     """The cameras as a list; InputError if there is none, one is no camera, or names repeat."""
-    cameras = list(cameras) if isinstance(cameras, Iterable) else [cameras]
+    cameras = [cameras] if isinstance(cameras, Camera | None) else list(cameras)
     if others := {type(camera).__name__ for camera in cameras if not isinstance(camera, Camera)}:
         raise InputError(f"cameras must be Camera objects, got {', '.join(sorted(others))}")
     for camera in cameras:

@@ -119,13 +119,14 @@ def test_unusual_layouts_are_reported(tmp_path):
 def test_bytes_after_the_last_row_are_counted(tmp_path, order):
     ply = encode(ROOM)
     ply.byte_order = order
+    ply.comments = ["end_header is here"]
     ply.write(path := tmp_path / "scene.ply")
-    assert "follow the last row" not in run("check", path).out
+    assert "after the last row" not in run("check", path).out
     path.write_bytes(path.read_bytes() + bytes(1234))
-    assert "warning  1,234 bytes follow the last row" in run("check", path).out
+    assert "warning  1,234 bytes after the last row" in run("check", path).out
     faces = np.zeros(3, [("vertex_indices", "i4", (3,))])
     PlyData([*ply.elements, PlyElement.describe(faces, "face")], byte_order=order).write(path)
-    assert "follow the last row" not in run("check", path).out
+    assert "after the last row" not in run("check", path).out
 
 
 def test_json_has_the_same_problems(tmp_path):

@@ -41,7 +41,10 @@ def callback(*_):
 def run():
     gc.callbacks.append(callback)
     gc.collect()
-    time.sleep(600)
+    try:
+        time.sleep(600)
+    finally:
+        print("cleaned up")
 cli.main = run
 """
 """Stands for a run in which a signal arrives inside a callback of the garbage collector."""
@@ -138,5 +141,5 @@ def test_with_cameras_of_colmap(case, tmp_path):
 def test_inside_a_callback_that_ignores_errors(tmp_path):
     with started(tmp_path / "cache", first=INTERRUPTED_CALLBACK) as process:
         out, err = process.communicate(timeout=EXIT_SECONDS)
-    assert (process.returncode, out) == (128 + signal.SIGINT, "")
+    assert (process.returncode, out) == (128 + signal.SIGINT, "cleaned up\n")
     assert err == "gsc-jax: interrupted; no file is left half written\n"

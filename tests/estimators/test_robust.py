@@ -321,8 +321,7 @@ def test_the_prior_decides_where_masks_are_unreliable(views, verdict, exact, dec
     assert np.array_equal(found.labels[seen], expected[seen])
     assert np.array_equal(found.labels[~seen], TRUE[~seen] & (verdict > 0.5))
     assert found.verdict is not None
-    # The prior marks another region: evidence against that of the masks, at odds of 1 to 3.
-    assert (found.verdict < verdict_of(decoy_in(views))) == (verdict < 0.5)
+    assert found.verdict >= verdict_of(decoy_in(views))
     word = "reliable" if decoy else "uninformative"
     assert set(found.reliability[:views]) == {word}
     overruled = "the attributes alone" if decoy else "the masks agree on are not labelled"
@@ -376,7 +375,7 @@ def test_a_prior_without_a_verdict_changes_the_scene_probability_and_no_label(fa
 
 def test_a_prior_that_contradicts_masks_takes_no_labels():
     flagged = np.zeros((VIEWS, COUNT), bool)
-    flagged[:4, TRUE] = True
+    flagged[:6, TRUE] = True
     evidence = masked(flagged)
     alone, given = estimate(evidence), Prior(probability=0.6 - 0.2 * TRUE, verdict=0.5, known=ALL)
     least = dataclasses.replace(ESTIMATOR, min_verdict=verdict_of(evidence))
@@ -387,23 +386,38 @@ def test_a_prior_that_contradicts_masks_takes_no_labels():
     assert found.labels.any()
 
 
+def rivals(edit: int, decoy: int) -> tuple[Evidence, Prior]:
+    """An edit and an authentic region, flagged in so many views, and a prior that knows."""
+    flagged = np.zeros((VIEWS, COUNT), bool)
+    flagged[:edit, TRUE] = True
+    flagged[VIEWS - decoy :, KINDS == DECOY] = True
+    own = np.where(TRUE, 0.45, 0.2) + 0.05 * np.random.default_rng(3).random(COUNT)
+    return masked(flagged), Prior(probability=own, verdict=0.4, known=ALL)
+
+
 @pytest.mark.parametrize(("views", "decided"), [(7, True), (11, False)])
 def test_attributes_decide_between_rivals_only_where_masks_give_no_evidence(views, decided):
-    """An edit and an authentic region are flagged in the same number of views, mostly in others."""
-    flagged = np.zeros((VIEWS, COUNT), bool)
-    flagged[:views, TRUE] = True
-    flagged[VIEWS - views :, KINDS == DECOY] = True
-    evidence, rng = masked(flagged), np.random.default_rng(3)
-    own = np.where(TRUE, 0.45, 0.2) + 0.05 * rng.random(COUNT)
-    given = Prior(probability=own, verdict=0.4, known=ALL)
+    evidence, given = rivals(views, views)
     alone, found = estimate(evidence), estimate(evidence, prior=given)
-    assert alone.labels[KINDS == DECOY].mean() > 0.9
+    apart = KINDS != DECOY
+    assert alone.labels[~apart].mean() > 0.9
     assert found.labels[TRUE].mean() > 0.9
-    assert found.labels[KINDS == DECOY].mean() < 0.1 or not decided
-    np.testing.assert_array_equal(found.labels[~(KINDS == DECOY)], alone.labels[~(KINDS == DECOY)])
+    assert found.labels[~apart].mean() < 0.1 or not decided
+    np.testing.assert_array_equal(found.labels[apart], alone.labels[apart])
     assert decided or np.array_equal(found.labels, alone.labels)
     contradicted = "the masks agree on are not labelled, because their attributes contradict"
     assert any(contradicted in text for text in found.warnings) == decided
+    light = dataclasses.replace(ESTIMATOR, prior_weight=0.49)
+    np.testing.assert_array_equal(estimate(evidence, light, given).labels, alone.labels)
+
+
+def test_the_scene_probability_is_that_of_the_region_that_is_left():
+    evidence, given = rivals(6, 7)
+    found = estimate(evidence, prior=given)
+    assert found.labels[KINDS == DECOY].mean() < 0.1
+    assert found.verdict == pytest.approx(verdict_of(rivals(6, 0)[0]), abs=0.02)
+    assert found.verdict < verdict_of(evidence) - 0.1
+    assert any("flagged in 50% of the views" in text for text in found.warnings)
 
 
 def test_a_prior_with_weight_0_changes_nothing():
@@ -427,8 +441,8 @@ SOME_ROLES = Roles(
     inverted=np.zeros(4, bool),
     patterns=np.zeros((2, 4), bool),
     tampered=np.array([False, True]),
-    rate=0.5,
-    views=4.0,
+    rates=np.full(2, 0.5),
+    seen=np.full(2, 4.0),
 )
 
 

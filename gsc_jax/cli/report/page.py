@@ -47,8 +47,7 @@ def report_page(
         wording=wording,
         headline=wording.headline(report["verdict"], counts["tampered"]),
         candidates=counts["tampered"] > 0 and wording.are_candidates(report["verdict"]),
-        conflict=wording.conflict(located),
-        rank=located.rank,
+        conflict=wording.conflict(result),
         lead=wording.lead(located),
         traces=sorted(getattr(result.prior, "traces", ()), key=lambda trace: not trace.found),
         views=sorted(

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 from gsc_jax.estimators.protocol import Outcome, Reliability, outcome
-from gsc_jax.estimators.robust.prior_fusion import rank_in_scene
 from gsc_jax.forensics.traces import Trace
 from gsc_jax.io.ply import PlyScene
 from gsc_jax.locate import Result
@@ -29,14 +28,6 @@ class Located:
     result: Result
     visible_share: float
     inputs: dict[str, dict[str, Any]] = dataclasses.field(default_factory=dict)
-
-    @property
-    def rank(self) -> float | None:
-        """Rank of the labelled Gaussians by attributes, if masks were used: `rank_in_scene`."""
-        prior, labels = self.result.prior, self.result.labels
-        if prior is None or not self.result.probabilities:
-            return None
-        return rank_in_scene(prior, labels, self.scene.gaussians.means)
 
 
 RELIABILITY: dict[Reliability, tuple[str, str, str]] = {
@@ -66,7 +57,7 @@ COUNTS: dict[bool, dict[Outcome, tuple[int, int]]] = {
 """How many authentic and edited test scenes had each outcome, with masks (docs/calibration.csv) and
 by the attributes alone (docs/heldout.csv)."""
 TESTS = {
-    True: "with simulated masks",
+    True: "with simulated masks alone",
     False: "of the attributes alone, in files exported again after the edit",
 }
 MIN_RATIO = 3
@@ -119,14 +110,14 @@ def meaning(verdict: float, *, masks: bool, traced: bool = False) -> str:
     )
 
 
-def conflict(located: Located) -> str | None:
+def conflict(result: Result) -> str | None:
     """A sentence where the masks show an edit that the attributes of the Gaussians contradict."""
-    rank = located.rank
-    if rank is None or rank < 0.5 or outcome(located.result.verdict) != "evidence":
+    rank = result.rank
+    if rank is None or rank < 0.5 or outcome(result.verdict) != "evidence":
         return None
     return (
-        "The masks show an edit, the attributes of the Gaussians do not: of the other parts of the "
-        f"scene, {percent(rank)} stand out more than what is labelled."
+        "The masks show an edit, the attributes of these Gaussians do not: of the other parts of "
+        f"the scene, {percent(rank)} stand out more."
     )
 
 
@@ -172,7 +163,7 @@ def summary(located: Located, out: Path) -> list[str]:
     """Summarise a run, whose results are in the folder `out`, in a few lines for the terminal."""
     result, verdict, findings = located.result, located.result.verdict, [lead(located)]
     if verdict is not None:
-        contradiction = conflict(located)
+        contradiction = conflict(result)
         known = {"masks": bool(result.probabilities), "traced": bool(found_traces(result))}
         findings = [
             *([contradiction] if contradiction else []),

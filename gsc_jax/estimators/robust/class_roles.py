@@ -50,15 +50,25 @@ class Roles:
         inverted: Views whose mask is inverted, shape (V,) bool.
         patterns: Whether a class is flagged in a view, after turning inverted views, (C, V) bool.
         tampered: Which classes are tampered, shape (C,) bool.
-        rate: Share of the views that see the first tampered class in which it is flagged.
-        views: Number of views that see it.
+        rates: Share of the views that see a class in which it is flagged, shape (C,).
+        seen: Number of views that see a class, shape (C,).
     """
 
     inverted: np.ndarray
     patterns: np.ndarray
     tampered: np.ndarray
-    rate: float
-    views: float
+    rates: np.ndarray
+    seen: np.ndarray
+
+    @property
+    def rate(self) -> float:
+        """Share of the views that see the first tampered class in which it is flagged."""
+        return float(self.rates[np.argmax(self.tampered)])
+
+    @property
+    def views(self) -> float:
+        """Number of views that see the first tampered class."""
+        return float(self.seen[np.argmax(self.tampered)])
 
 
 def scene_probability(rate: float, views: float) -> float:
@@ -92,26 +102,27 @@ def assign_roles(
     others[authentic] = False
     if not others.any():
         return None
-    frequency = np.where(others, table.flag_frequency, -1.0)
+    frequency = np.where(others, table.flag_frequency(), -1.0)
     first = _largest(mass * table.sharpness, frequency >= NEAR_BEST * frequency.max())
     distinct = others & distractors & (table.sharpness >= MIN_SHARPNESS)
     distinct &= table.separating_views(first) >= SAME_PATTERN_VIEWS
     distinct &= table.separating_views(authentic) >= 0.5
     both_shown = np.minimum(shown_share, shown_share[first])
     distinct &= (both_shown * table.differs(first)).sum(1) >= SEPARATED_SHARE * both_shown.sum(1)
-    often = table.flag_frequency > SECOND_EDIT * table.flag_frequency[first]
+    often = table.flag_frequency() > SECOND_EDIT * table.flag_frequency()[first]
     second, distractor = np.flatnonzero(distinct & often), np.flatnonzero(distinct & ~often)
     patterns = [
         *table.patterns([authentic], fallback=authentic),
         *table.patterns(np.append(first, second), fallback=first),
         *table.patterns(distractor, fallback=authentic),
     ]
+    order = np.concatenate([[authentic, first], second, distractor])
     return Roles(
         inverted=inverted,
         patterns=np.stack(patterns),
         tampered=(np.arange(len(patterns)) > 0) & (np.arange(len(patterns)) < 2 + len(second)),
-        rate=float(np.average(table.rates[first] > 0.5, weights=seen[first])),
-        views=float(seen[first].sum()),
+        rates=table.flag_frequency(1e-30)[order],
+        seen=seen.sum(axis=1)[order],
     )
 
 
@@ -126,10 +137,9 @@ class _RateTable:
     rates: np.ndarray
     seen: np.ndarray
 
-    @property
-    def flag_frequency(self) -> np.ndarray:
-        """Share of the views that flag a class, with one pseudo-view that does not, shape (K,)."""
-        return (self.seen * (self.rates > 0.5)).sum(axis=1) / (self.seen.sum(axis=1) + 1.0)
+    def flag_frequency(self, pseudo_views: float = 1.0) -> np.ndarray:
+        """Share of the views that flag a class, with pseudo-views that do not, shape (K,)."""
+        return (self.seen * (self.rates > 0.5)).sum(axis=1) / (self.seen.sum(axis=1) + pseudo_views)
 
     @property
     def sharpness(self) -> np.ndarray:

@@ -64,8 +64,10 @@ class RobustEstimator(Estimator):
         class_log_odds: Log odds between two classes from one full view that separates them.
         smoothing: Log odds from neighbours that all belong to one class; 0 disables smoothing.
         neighbours: Number of neighbours for smoothing.
-        prior_weight: Weight of the prior, in [0, 1]; 0 ignores it.
-        min_verdict: Nothing is labelled if the scene probability is lower.
+        prior_weight: Weight of the prior, in [0, 1]; 0 ignores it, and below 0.5 it does not
+            decide between regions that masks label.
+        min_verdict: Nothing is labelled if the scene probability by the masks and that with the
+            prior are lower.
         tolerance: With a network as detector, views are added until they change less than this
             share of the labelled weight; 0 uses all views.
         threshold: Probability above which a Gaussian is labelled.
@@ -115,7 +117,7 @@ class RobustEstimator(Estimator):
     def estimate_from_evidence(
         self, evidence: EvidenceOfViews, means: Array, prior: Prior | None = None
     ) -> Finding:
-        """As `estimate`, for evidence (V, N) and positions (N, D) used only for neighbours."""
+        """As `estimate`, for evidence (V, N) and positions (N, D), of which a prior needs three."""
         prior = prior if self.uses_prior else None
         trivial, views = unanimous(evidence), float(evidence.shape[0])
         if trivial and (prior is None or evidence.all_flagged):
@@ -125,12 +127,17 @@ class RobustEstimator(Estimator):
         agreed = lifted.probability > 0.5
         roles = lifted.roles if agreed.any() else None
         from_masks = scene_probability(*((roles.rate, roles.views) if roles else (0.0, views)))
-        probability, verdict, known = lifted.probability, from_masks, lifted.seen
+        probability, verdict, known, rank = lifted.probability, from_masks, lifted.seen, None
         if prior is not None:
-            if roles and from_masks < prior_fusion.SURE_MASKS:
-                rivals = prior_fusion.refuted(roles.tampered, lifted.region, prior, means)
-                probability = np.where(rivals, np.float32(0), probability)
-            fused = prior_fusion.fuse(probability, verdict, known, prior, self.prior_weight, means)
+            if roles and from_masks < prior_fusion.SURE and self.prior_weight >= 0.5:
+                dropped = prior_fusion.refuted(roles.tampered, lifted.region, prior, means)
+                roles = dataclasses.replace(roles, tampered=roles.tampered & ~dropped)
+                from_masks = scene_probability(roles.rate, roles.views)
+                probability = np.where(dropped[lifted.region], np.float32(0), probability)
+            rank = prior_fusion.rank_in_scene(prior, probability > 0.5, means)
+            fused = prior_fusion.fuse(
+                probability, from_masks, known, prior, self.prior_weight, rank
+            )
             (probability, verdict), known = fused, known | prior.known
         edited = max(verdict, from_masks) >= self.min_verdict
         labels = (probability > self.threshold) & edited
@@ -142,9 +149,12 @@ class RobustEstimator(Estimator):
             ),
             verdict=verdict,
             reliability=diagnostics.reliability(evidence, labels, lifted.roles),
+            rank=rank,
             warnings=[NONE_FLAGGED + diagnostics.FROM_PRIOR * bool(labels.any())]
             if trivial
-            else diagnostics.warnings(lifted.roles, agreed, labels, (from_masks, verdict), prior),
+            else diagnostics.warnings(
+                roles or lifted.roles, agreed, labels, (from_masks, verdict), prior
+            ),
         )
 
     def from_masks(

@@ -4,7 +4,8 @@ Both come with a probability that they show an edit at all: the masks by how man
 prior by its own verdict on the scene. A prior can be sure and wrong, and must not cost what the
 masks alone find. So it decides only what no view sees, and everything if hardly any views agree;
 only an exact prior can overrule masks. Where what the masks label does not stand out in the prior,
-the scene probability falls, and of several rivals another one is labelled.
+the scene probability falls. Where the masks are no evidence of an edit and label several regions,
+the prior decides between them, which costs an edit if it is wrong.
 """
 
 import math
@@ -21,16 +22,15 @@ PROBABILITY_FLOOR = 1e-9
 MIN_MASK_VERDICT = 0.15
 """Scene probability of the masks below which a prior may replace them: less than 40 % of many views
 flag the region. Masks that missed 42 edits in 40 % of the views had 0.19 or more."""
-SURE_MASKS = EVIDENCE_FROM
-"""Scene probability of the masks from which they alone decide between rivals."""
 MIN_PARTS = 64
-"""Parts of the rest of a scene, at least, with which a region is compared."""
-CALIBRATOR = 1 / 3
-"""Exponent k of the calibrator k p^(k - 1) of a p-value (Vovk and Wang, 2021): 1/3 for p = 1, and
-1 for p = 0.19. More is not counted: detailed regions of authentic scenes stand out, too."""
-STANDS_OUT, ORDINARY = 0.03, 0.3
-"""Of regions that masks label, those of a rank above `ORDINARY` are authentic if one `STANDS_OUT`;
-edits of seeds 10 to 13 mostly had less than 0.03, authentic regions more than 0.3."""
+"""Parts into which the rest of a scene is divided, at least, if it has as many Gaussians."""
+EXPONENT = 1 / 3
+"""Exponent k of the factor k p^(k - 1), at most 1, by which a rank p lowers the odds of an edit.
+Without this bound it calibrates a p-value (Vovk and Wang, 2021), but detailed parts of authentic
+scenes stand out, too, so that a small rank is no evidence."""
+SURE, STANDS_OUT, ORDINARY = EVIDENCE_FROM, 0.03, 0.3
+"""Of several regions, those of a rank above `ORDINARY` are dropped if another one `STANDS_OUT`,
+unless the masks are `SURE`: their scene probability is evidence of an edit."""
 
 
 def fuse(
@@ -39,7 +39,7 @@ def fuse(
     seen: np.ndarray,
     prior: Prior,
     weight: float = 1.0,
-    means: Array | None = None,
+    rank: float | None = None,
 ) -> tuple[np.ndarray, float]:
     """Fuse probabilities from masks with a prior, as docs/method.md derives it.
 
@@ -47,7 +47,7 @@ def fuse(
     verdict: for Gaussians that no view sees, and anywhere if the verdict of the masks is below
     `MIN_MASK_VERDICT`. An exact prior and the masks are each correct or not, independently. The
     fused verdict includes only a verdict of the prior *for* an edit, which need not show in it.
-    With `means` (N, 3), the odds fall to a third if what the masks label does not stand out there.
+    Where the masks count, the odds fall to a third with the `rank` in the prior of what they label.
 
     `probability` (N,) and `verdict`, that of the scene, are from the masks; `seen` (N,) is True for
     Gaussians visible in at least one view; the prior has a weight in [0, 1]. Returns probabilities,
@@ -60,8 +60,7 @@ def fuse(
     else:
         masks_wrong = 1 - verdict if verdict < MIN_MASK_VERDICT else 0.0
     share = weight * prior.verdict * np.where(seen, masks_wrong, 1.0) * prior.known
-    rank = None if means is None else rank_in_scene(prior, probability > 0.5, means)
-    discount = 1.0 if rank is None else min(CALIBRATOR * rank ** (CALIBRATOR - 1), 1.0)
+    discount = 1.0 if rank is None or masks_wrong else min(EXPONENT * rank ** (EXPONENT - 1), 1.0)
     log_odds = weight * (max(float(log_odds_of(prior.verdict)), 0.0) + math.log(discount))
     fused_verdict = verdict / (verdict + (1 - verdict) * math.exp(-log_odds))
     from_prior = np.where(prior.known, prior.probability, 0.0)
@@ -69,34 +68,33 @@ def fuse(
 
 
 def rank_in_scene(prior: Prior, region: np.ndarray, means: Array) -> float | None:
-    """The p-value of a region (N,) bool: the share of other parts of the scene that stand out more.
+    """Share of the other parts of a scene that stand out more in a prior than a region (N,) bool.
 
-    The rest of the scene, with these means (N, 3), is divided into compact parts that are no larger
-    than the region; one stands out more if its mean log odds of the prior are higher. None if the
-    prior knows nothing of one side, or does not distinguish them.
+    The rest of the scene, with these means (N, 3 or more), is divided into compact parts that are
+    no larger than the region; one stands out more if its mean log odds are higher. The region
+    counts as one, and equal parts count half. None if the prior does not distinguish any.
     """
-    inside, rest = prior.known & region, np.flatnonzero(prior.known & ~region)
+    known = prior.known & np.isfinite(np.asarray(means)[:, :3]).all(axis=1)
+    inside, rest = known & region, np.flatnonzero(known & ~region)
     if not inside.any() or not len(rest):
         return None
     log_odds, size = log_odds_of(prior.probability), min(inside.sum(), len(rest) // MIN_PARTS)
     order, starts = parts(np.asarray(means)[rest, :3], max(int(size), 1))
     sums = np.add.reduceat(log_odds[rest[order]], starts)
     above = sums / np.diff(starts, append=len(rest)) - log_odds[inside].mean()
-    above = above[np.abs(above) > 1e-6]
-    return float((1 + (above > 0).sum()) / (1 + len(above))) if len(above) else None
+    higher, equal = above > 1e-6, abs(above) <= 1e-6
+    return None if equal.all() else float((1 + np.sum(higher + equal / 2)) / (1 + len(above)))
 
 
 def refuted(tampered: np.ndarray, region: np.ndarray, prior: Prior, means: Array) -> np.ndarray:
-    """Gaussians of rivals that are ordinary in the prior, where another one stands out, (N,) bool.
+    """Which tampered classes are ordinary in the prior, where another one stands out, (C,) bool.
 
     Masks cannot tell an edit that they miss in 40 % of the views from an authentic region that they
-    flag in 60 %; where they give evidence of an edit, they are not asked. Rivals are the classes
-    that are `tampered` (C,) bool, and `region` is the class of each Gaussian, (N,).
+    flag in 60 %. `tampered` (C,) are the classes in question, `region` (N,) that of each Gaussian.
     """
-    rivals = np.flatnonzero(tampered)
-    ranks = [rank_in_scene(prior, region == rival, means) for rival in rivals]
-    ranks = np.array([ORDINARY if rank is None else rank for rank in ranks])
-    return np.isin(region, rivals[(ranks > ORDINARY) & (ranks.min() <= STANDS_OUT)])
+    classes = [rank_in_scene(prior, region == k, means) for k in range(len(tampered))]
+    ranks = np.array([ORDINARY if rank is None else rank for rank in classes])
+    return tampered & (ranks > ORDINARY) & (ranks[tampered].min(initial=1) <= STANDS_OUT)
 
 
 def linear_pool(first: np.ndarray, second: np.ndarray, share: np.ndarray) -> np.ndarray:

@@ -415,6 +415,7 @@ def test_the_scene_probability_is_that_of_the_region_that_is_left():
     evidence, given = rivals(6, 7)
     found = estimate(evidence, prior=given)
     assert found.labels[KINDS == DECOY].mean() < 0.1
+    assert found.verdict is not None
     assert found.verdict == pytest.approx(verdict_of(rivals(6, 0)[0]), abs=0.02)
     assert found.verdict < verdict_of(evidence) - 0.1
     assert any("flagged in 50% of the views" in text for text in found.warnings)

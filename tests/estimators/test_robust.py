@@ -373,6 +373,14 @@ def test_a_prior_without_a_verdict_changes_the_scene_probability_and_no_label(fa
     assert (change < 1 - 1e-9) == (kind != TAMPERED)
 
 
+def test_there_is_no_rank_where_the_prior_decides():
+    """Else it is that of what the masks label."""
+    for views, exact, asked in ((11, False, True), (11, True, False), (4, False, False)):
+        found = estimate(decoy_in(views), prior=true_prior(0.9, exact=exact))
+        assert (found.rank is not None) == asked
+    assert estimate(decoy_in(11)).rank is None
+
+
 def test_a_prior_that_contradicts_masks_takes_no_labels():
     flagged = np.zeros((VIEWS, COUNT), bool)
     flagged[:6, TRUE] = True

@@ -112,8 +112,9 @@ def meaning(verdict: float, *, masks: bool, traced: bool = False) -> str:
 
 def conflict(result: Result) -> str | None:
     """A sentence where the masks show an edit that the attributes of the Gaussians contradict."""
-    rank = result.rank
-    if rank is None or rank < 0.5 or outcome(result.verdict) != "evidence":
+    rank, prior = result.rank, result.prior.verdict if result.prior else None
+    by_masks = outcome(result.verdict) == "evidence" and outcome(prior) != "evidence"
+    if rank is None or rank < 0.5 or not by_masks:
         return None
     return (
         "The masks show an edit, the attributes of these Gaussians do not: of the other parts of "

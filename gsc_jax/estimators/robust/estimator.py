@@ -134,19 +134,17 @@ class RobustEstimator(Estimator):
                 roles = dataclasses.replace(roles, tampered=roles.tampered & ~dropped)
                 from_masks = scene_probability(roles.rate, roles.views)
                 probability = np.where(dropped[lifted.region], np.float32(0), probability)
-            rank = prior_fusion.rank_in_scene(prior, probability > 0.5, means)
-            fused = prior_fusion.fuse(
-                probability, from_masks, known, prior, self.prior_weight, rank
-            )
-            (probability, verdict), known = fused, known | prior.known
+            if not prior.exact and from_masks >= prior_fusion.MIN_MASK_VERDICT:
+                rank = prior_fusion.rank_in_scene(prior, probability > 0.5, means)
+            both = prior_fusion.fuse(probability, from_masks, known, prior, self.prior_weight, rank)
+            (probability, verdict), known = both, known | prior.known
         edited = max(verdict, from_masks) >= self.min_verdict
+        log_odds = prior_fusion.log_odds_of(probability)
         labels = (probability > self.threshold) & edited
         return Finding(
             tamper=probability * edited,
             labels=labels,
-            attribute=np.where(known, prior_fusion.log_odds_of(probability), 0.0).astype(
-                np.float32
-            ),
+            attribute=np.where(known, log_odds, 0.0).astype(np.float32),
             verdict=verdict,
             reliability=diagnostics.reliability(evidence, labels, lifted.roles),
             rank=rank,

@@ -1,6 +1,7 @@
 """Sentences about results."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import hypothesis.strategies as st
 import pytest
@@ -32,14 +33,16 @@ def test_summary_starts_with_the_outcome(tmp_path: Path):
 
 
 def test_a_conflict_of_masks_and_attributes_is_the_first_sentence(tmp_path: Path):
-    def first(verdict: float, rank: float | None) -> str:
-        located = run(tmp_path, NAMES[:1], verdict=verdict, rank=rank)
+    def first(verdict: float, rank: float | None, alone: float = 0.5) -> str:
+        prior = SimpleNamespace(verdict=alone, traces=())
+        located = run(tmp_path, NAMES[:1], verdict=verdict, rank=rank, prior=prior)
         return wording.summary(located, Path("out"))[0]
 
     assert first(0.98, 1.0).startswith("The masks show an edit")
     assert "parts of the scene, 70% stand out more" in first(0.98, 0.7)
     for pair in ((0.98, 0.49), (0.98, None), (0.5, 1.0)):
         assert "masks show" not in first(*pair)
+    assert "masks show" not in first(0.98, 1.0, alone=0.9), "the attributes show another edit"
 
 
 def test_the_rates_of_the_outcomes_are_those_of_the_tables():

@@ -2,7 +2,7 @@
 
     python experiments/beside_masks.py [--quick] [--out docs]
 
-Masks alone cannot tell an edit that is missed in 40 % of the views from an authentic region that is
+From masks alone, an edit that is missed in 40 % of the views looks like an authentic region that is
 flagged in 60 % of them. On scenes and objects that the classifier of the package never saw, changed
 regions and removals are compared with the same scenes before the edit, where the detector flags the
 region of the edit. The attributes are those after an export. A wrong prior is certain of another
@@ -38,7 +38,7 @@ PAIR = {"edited": "misses", "authentic": "consistent"}
 def rows_of(case: Case) -> Iterator[Row]:
     """Measure the scene probability of a case and of the scene without its edit."""
     pristine, failures = without_edit(case), {name: REGIMES[name] for name in FAILURES}
-    # Masks of a pasted object mark no region of the scene without it.
+    # The masks of a pasted object do not correspond to any surface of the scene before the paste.
     pairs = [(case, STRENGTHS), (pristine, failures)][: 1 if case.edit == "incorporation" else 2]
     for own, regimes in pairs:
         key = {**case.key, "kind": "authentic" if own is pristine else "edited"}
@@ -52,9 +52,9 @@ def rows_of(case: Case) -> Iterator[Row]:
 
 
 def wrong_priors(case: Case, own: Case) -> dict[str, Prior]:
-    """The wrong prior of a case for its scene with or without the edit, by place.
+    """A prior that marks another region than the edit, for the edited or the authentic scene `own`.
 
-    None for a large edit, which no other region is far enough from.
+    Empty if the edit is so large that no other region is far enough away.
     """
     try:
         wrong = wrong_prior(case)

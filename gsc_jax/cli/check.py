@@ -190,7 +190,7 @@ def _format(path: Path, ply: PlyData) -> str:
 
 
 def _bytes_after(path: Path, ply: PlyData) -> int:
-    """Bytes after the last row of a binary file; 0 if it has lists, whose length varies."""
+    """Bytes after the last row of a binary PLY; 0 if it has lists: their sizes are unknown here."""
     properties = [prop for element in ply.elements for prop in element.properties]
     if any(isinstance(prop, PlyListProperty) for prop in properties):
         return 0

@@ -47,7 +47,7 @@ def run():
         print("cleaned up")
 cli.main = run
 """
-"""Stands for a run in which a signal arrives inside a callback of the garbage collector."""
+"""Replaces the command: Python calls `callback` as it collects garbage, and ignores its errors."""
 EXIT_SECONDS = 60
 """Longest time to exit after a signal on a busy machine; usually one or two seconds."""
 

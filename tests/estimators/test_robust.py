@@ -360,7 +360,7 @@ def test_a_view_without_labelled_gaussians_is_unseen():
 @pytest.mark.parametrize("failure", ["clean", "misses", "consistent", "mixture"])
 @pytest.mark.parametrize("kind", [AUTHENTIC, TAMPERED, DECOY])
 def test_a_prior_without_a_verdict_changes_the_scene_probability_and_no_label(failure, kind):
-    """Unless what the masks label stands out in it, which favours no edit: others do, too."""
+    """The probability falls where the prior does not set the labelled Gaussians apart."""
     evidence, rng = masked(failing(failure)), np.random.default_rng(2)
     own = np.where(kind == KINDS, 0.6, 0.4) + 0.01 * rng.random(COUNT)
     given = Prior(probability=own, verdict=0.5, known=ALL)
@@ -395,7 +395,7 @@ def test_a_prior_that_contradicts_masks_takes_no_labels():
 
 
 def rivals(edit: int, decoy: int) -> tuple[Evidence, Prior]:
-    """An edit and an authentic region, flagged in so many views, and a prior that knows."""
+    """Masks that flag an edit and an authentic region in `edit` and `decoy` views; a true prior."""
     flagged = np.zeros((VIEWS, COUNT), bool)
     flagged[:edit, TRUE] = True
     flagged[VIEWS - decoy :, KINDS == DECOY] = True

@@ -111,7 +111,7 @@ def meaning(verdict: float, *, masks: bool, traced: bool = False) -> str:
 
 
 def conflict(result: Result) -> str | None:
-    """A sentence where the masks show an edit that the attributes of the Gaussians contradict."""
+    """A warning if the masks label Gaussians whose attributes are ordinary; None otherwise."""
     rank, prior = result.rank, result.prior.verdict if result.prior else None
     by_masks = outcome(result.verdict) == "evidence" and outcome(prior) != "evidence"
     if rank is None or rank < 0.5 or not by_masks:

@@ -23,14 +23,14 @@ MIN_MASK_VERDICT = 0.15
 """Scene probability of the masks below which a prior may replace them: less than 40 % of many views
 flag the region. Masks that missed 42 edits in 40 % of the views had 0.19 or more."""
 MIN_PARTS = 64
-"""Parts into which the rest of a scene is divided, at least, if it has as many Gaussians."""
+"""Least number of parts into which `rank_in_scene` divides the rest of a scene."""
 EXPONENT = 1 / 3
-"""Exponent k of the factor k p^(k - 1), at most 1, by which a rank p lowers the odds of an edit.
-Without this bound it calibrates a p-value (Vovk and Wang, 2021), but detailed parts of authentic
-scenes stand out, too, so that a small rank is no evidence."""
+"""Exponent k of the factor k p^(k - 1), at most 1, by which the odds of an edit fall with a rank p.
+Unbounded, it calibrates a p-value (Vovk and Wang, 2021). The bound is there because detailed
+regions of authentic scenes have small ranks, too: a small rank is no evidence of an edit."""
 SURE, STANDS_OUT, ORDINARY = EVIDENCE_FROM, 0.03, 0.3
-"""Of several regions, those of a rank above `ORDINARY` are dropped if another one `STANDS_OUT`,
-unless the masks are `SURE`: their scene probability is evidence of an edit."""
+"""Below a scene probability of `SURE` from the masks, labelled regions of a rank above `ORDINARY`
+lose their labels if another labelled region has a rank of at most `STANDS_OUT`."""
 
 
 def fuse(
@@ -68,11 +68,11 @@ def fuse(
 
 
 def rank_in_scene(prior: Prior, region: np.ndarray, means: Array) -> float | None:
-    """Share of the other parts of a scene that stand out more in a prior than a region (N,) bool.
+    """Share of the other parts of a scene that a prior finds more suspect than a region (N,) bool.
 
     The rest of the scene, with these means (N, 3 or more), is divided into compact parts that are
-    no larger than the region; one stands out more if its mean log odds are higher. The region
-    counts as one, and equal parts count half. None if the prior does not distinguish any.
+    no larger than the region; one is more suspect if its mean log odds of the prior are higher. The
+    region counts as one, and equal parts count half. None if the prior does not distinguish any.
     """
     known = prior.known & np.isfinite(np.asarray(means)[:, :3]).all(axis=1)
     inside, rest = known & region, np.flatnonzero(known & ~region)

@@ -4,10 +4,12 @@ The cases are those of `bank.py`; the tables use other edits, and other objects 
 """
 
 import dataclasses
+import pickle
 from pathlib import Path
 
+import jax
 import numpy as np
-from bank import BankCase, Kind, bank_case
+from bank import FIRST_SEED, PROGRAM_SEEDS, BankCase, Kind, bank_case
 
 from gsc_jax.benchmark.tamper import Edit
 from gsc_jax.forensics.features import compute_features, with_finite_scales
@@ -37,6 +39,25 @@ class Examples:
     names: tuple[str, ...]
 
 
+def stored_case(
+    host: str, edit: Kind, seed: int, bank: Path, data: Path, keep: Path
+) -> BankCase | None:
+    """As `draw_case`; a case whose edit may take minutes is read from a file in `keep`."""
+    if seed >= FIRST_SEED + PROGRAM_SEEDS:
+        return draw_case(host, edit, seed, bank, data)
+    path = keep / "cases" / f"{host}_{edit}_{seed}.pickle"
+    if not path.exists():
+        case = draw_case(host, edit, seed, bank, data)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with atomic(path) as temporary:
+            temporary.write_bytes(pickle.dumps(case and _on_host(case)))
+    return pickle.loads(path.read_bytes())
+
+
+def _on_host(case: BankCase) -> BankCase:
+    return dataclasses.replace(case, gaussians=jax.tree.map(np.asarray, case.gaussians))
+
+
 def draw_case(host: str, edit: Kind, seed: int, bank: Path, data: Path) -> BankCase | None:
     """Draw a case of the bank, or None if the host has no place for such an edit."""
     for retry in range(RETRIES):
@@ -51,7 +72,7 @@ def make_examples(host: str, edit: Edit, seed: int, bank: Path, data: Path, keep
     """Compute the features of a sample of a case, or read them from a file in `keep`."""
     path = keep / f"{host}_{edit}_{seed}.npz"
     if not path.exists():
-        case = draw_case(host, edit, seed, bank, data)
+        case = stored_case(host, edit, seed, bank, data, keep)
         arrays = _sampled(case) if case else {"share": np.array(0.0)}
         with atomic(path) as temporary, temporary.open("wb") as file:
             np.savez(file, allow_pickle=False, **arrays)

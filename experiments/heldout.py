@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 from bank import BANK, FIRST_SEED, NO_EDIT, PROGRAM_SEEDS, BankCase, Kind, hosts, source_of
-from classifier_examples import draw_case
+from classifier_examples import stored_case
 from native import NativeArgs, classifier_without
 from runner import measured, start
 from tables import Frame, Row, pivot, where, write_section
@@ -58,7 +58,7 @@ def family(case: BankCase) -> str:
 
 def rows_of(host: str, kind: Kind, seed: int, args: HeldoutArgs) -> Iterator[Row]:
     """Measure one case; nothing if the host has no place for the edit."""
-    case = draw_case(host, kind, seed, args.bank, args.data)
+    case = stored_case(host, kind, seed, args.bank, args.data, args.keep)
     if case is None:
         return
     classifier = classifier_without(source_of(host), args.keep)

@@ -21,7 +21,7 @@ import numpy as np
 import optax
 from bank import BANK, FIRST_SEED, NO_EDIT, BankCase, Kind, hosts, source_of
 from cases import DATA, available
-from classifier_examples import Examples, draw_case, make_examples
+from classifier_examples import Examples, make_examples, stored_case
 from runner import start
 from scipy.optimize import minimize
 from tqdm import tqdm
@@ -66,8 +66,8 @@ class Args:
         seeds: Seeds of each host and kind of edit.
         data: The real scenes.
         bank: The captures; without them only scenes of cases.py are edited.
-        keep: Folder of the features, for a second run, and of the classifiers that leave out a
-            scene. Remove it after a change of the features.
+        keep: Folder of the features and slow edits, for a second run, and of the classifiers that
+            leave out a scene. Remove it after a change of the features, of an edit or of the bank.
         out: File of the classifier of the package.
     """
 
@@ -325,7 +325,7 @@ def whole_outputs(
         for k in range(count)
     ]
     for host, edit, seed in tqdm(jobs, desc="whole cases", disable=None):
-        case = draw_case(host, edit, seed, args.bank, args.data)
+        case = stored_case(host, edit, seed, args.bank, args.data, args.keep)
         if case:
             yield scene_outputs(case, host, folds)
 

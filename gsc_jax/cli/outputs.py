@@ -99,7 +99,7 @@ def _numbers(command: dict[str, Any], located: Located) -> dict[str, Any]:
         "seed": result.estimator.seed,
         "verdict": result.verdict,
         "outcome": result.outcome,
-        "attributes": prior and {"verdict": prior.verdict, "traces": traces},
+        "attributes": prior and {"verdict": prior.verdict, "traces": traces, "rank": result.rank},
         "counts": {
             "rows": scene.total,
             "dropped": scene.dropped,

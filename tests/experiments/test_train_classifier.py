@@ -1,6 +1,7 @@
 """Training of the classifier: what is held out, calibration, and the stored file."""
 
 import bank
+import chex
 import classifier_examples
 import jax
 import numpy as np
@@ -141,6 +142,27 @@ def test_examples_are_kept_and_a_host_without_a_place_has_none(small_rooms, tmp_
     absent = classifier_examples.make_examples("room", "modification", *arguments[2:])
     assert absent.share == 0
     assert not len(absent.labels)
+
+
+def test_only_cases_that_may_take_minutes_are_stored(small_rooms, tmp_path, monkeypatch):
+    place = (tmp_path, tmp_path / "absent")
+    case, drawn = bank_case("room", "removal", QUICK_SEED, *place), []
+
+    def draw_case(host: str, edit: bank.Kind, seed: int, *_: object) -> bank.BankCase | None:
+        drawn.append(seed)
+        return case if edit == "removal" else None
+
+    monkeypatch.setattr(classifier_examples, "draw_case", draw_case)
+    for seed in (FIRST_SEED, QUICK_SEED):
+        for _ in range(2):
+            again = classifier_examples.stored_case("room", "removal", seed, *place, tmp_path)
+            assert again is not None
+            chex.assert_trees_all_equal(again.gaussians, case.gaussians)
+            np.testing.assert_array_equal(again.labels, case.labels)
+            assert (again.sources, again.edit, again.how) == (case.sources, case.edit, case.how)
+            nothing = classifier_examples.stored_case("room", NO_EDIT, seed, *place, tmp_path)
+            assert nothing is None, "a host without a place for the edit"
+    assert drawn == [FIRST_SEED] * 2 + [QUICK_SEED] * 4
 
 
 def test_whole_cases_calibrate_only_folds_that_saw_no_part_of_them(small_rooms, tmp_path):

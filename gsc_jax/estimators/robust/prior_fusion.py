@@ -92,8 +92,9 @@ def refuted(tampered: np.ndarray, region: np.ndarray, prior: Prior, means: Array
     Masks cannot tell an edit that they miss in 40 % of the views from an authentic region that they
     flag in 60 %. `tampered` (C,) are the classes in question, `region` (N,) that of each Gaussian.
     """
-    classes = [rank_in_scene(prior, region == k, means) for k in range(len(tampered))]
-    ranks = np.array([ORDINARY if rank is None else rank for rank in classes])
+    ranks = np.full(len(tampered), ORDINARY)
+    for k in np.flatnonzero(tampered):
+        ranks[k] = rank_in_scene(prior, region == k, means) or ORDINARY
     return tampered & (ranks > ORDINARY) & (ranks[tampered].min(initial=1) <= STANDS_OUT)
 
 

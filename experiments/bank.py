@@ -38,7 +38,9 @@ MAX_HOST = 60_000
 part of a host."""
 PROGRAM_SEEDS = 2
 """Seeds with whole hosts and the programs of editors; the others have parts and quick edits."""
-FIRST_SEED = 1000
+FIRST_SEED, SCENE_SEEDS, CAPTURE_SEEDS = 1000, 10, 4
+"""First seed of the cases of training, and numbers of seeds of a host and kind of edit. Each of the
+many captures has fewer cases, of which one in four has the programs of editors."""
 Kind = Edit | Literal["none"]
 NO_EDIT: Literal["none"] = "none"
 MADE_HOSTS = {"room": make_room, "garden": make_garden}
@@ -79,6 +81,13 @@ def hosts(bank: Path, data: Path = DATA) -> list[str]:
     """Scenes that may be edited for training: those of the development, and their captures."""
     scenes = available(data)
     return [*scenes, *captures(bank, scenes)]
+
+
+def training_seeds(host: str) -> range:
+    """Seeds of the cases of each kind of edit of a host, from which the classifier learns."""
+    if "-" in host:
+        return range(FIRST_SEED + 1, FIRST_SEED + 1 + CAPTURE_SEEDS)
+    return range(FIRST_SEED, FIRST_SEED + SCENE_SEEDS)
 
 
 @functools.lru_cache(maxsize=4)

@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from bank import BANK, FIRST_SEED, NO_EDIT, BankCase, Kind, hosts, source_of
+from bank import BANK, NO_EDIT, BankCase, Kind, hosts, source_of, training_seeds
 from cases import DATA, available
 from classifier_examples import Examples, make_examples, stored_case
 from runner import start
@@ -38,10 +38,8 @@ from gsc_jax.forensics.features import MAX_DEVIATION, compute_features, with_fin
 from gsc_jax.io.files import atomic
 from gsc_jax.scene import InputError
 
-SEEDS = 10
-"""Seeds of each host and kind of edit."""
 CALIBRATION_SEEDS: dict[Kind, int] = {**dict.fromkeys(EDITS, 2), NO_EDIT: 8}
-"""Seeds of each host and kind of edit that calibrate; authentic ones differ in their history."""
+"""Number of seeds of each host and kind that calibrate; authentic ones differ in their history."""
 SAMPLE = 20_000
 """Gaussians of a whole case used for calibration."""
 MEMBERS = 3
@@ -63,7 +61,6 @@ class Args:
     """Arguments of the training.
 
     Attributes:
-        seeds: Seeds of each host and kind of edit.
         data: The real scenes.
         bank: The captures; without them only scenes of cases.py are edited.
         keep: Folder of the features and slow edits, for a second run, and of the classifiers that
@@ -71,7 +68,6 @@ class Args:
         out: File of the classifier of the package.
     """
 
-    seeds: int = SEEDS
     data: Path = DATA
     bank: Path = BANK
     keep: Path = Path(".cues")
@@ -301,7 +297,9 @@ def main(args: Args) -> None:
             f"{args.data}: no scenes; leaving out two of {len(scenes)} leaves none to train on. "
             "Get the real scenes, or use the classifier that comes with the package"
         )
-    jobs = list(itertools.product(names, EDITS, range(FIRST_SEED, FIRST_SEED + args.seeds)))
+    jobs = [
+        (*job, seed) for job in itertools.product(names, EDITS) for seed in training_seeds(job[0])
+    ]
     progress = tqdm(jobs, desc="cases", disable=None)
     made = [make_examples(*job, args.bank, args.data, args.keep) for job in progress]
     cases = [case for case in made if case.share > 0]
@@ -319,7 +317,7 @@ def whole_outputs(
 ) -> Iterator[dict[str | None, SceneOutput]]:
     """Yield the outputs for whole cases of each host, edited and not."""
     jobs: list[tuple[str, Kind, int]] = [
-        (host, edit, FIRST_SEED + k)
+        (host, edit, training_seeds(host)[0] + k)
         for host in names
         for edit, count in CALIBRATION_SEEDS.items()
         for k in range(count)

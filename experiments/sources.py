@@ -84,7 +84,7 @@ def train_networks(
     cases: Sequence[Examples], names: Sequence[str], sources: Sequence[str]
 ) -> dict[str, Networks]:
     """Train the networks that do not know a source, for each source."""
-    jobs = [(source, some) for source in sources for some in host_sets(names, source)]
+    jobs = dict.fromkeys((source, some) for source in sources for some in host_sets(names, source))
     networks: dict[str, dict[frozenset[str], Layers]] = {source: {} for source in sources}
     for seed, (source, some) in enumerate(tqdm(jobs, desc="networks", disable=None)):
         own = [case for case in cases if case.host in some and source not in case.sources]

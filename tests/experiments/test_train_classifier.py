@@ -6,6 +6,7 @@ import classifier_examples
 import jax
 import numpy as np
 import pytest
+import sources
 import train_classifier as train
 from bank import FIRST_SEED, NO_EDIT, PROGRAM_SEEDS, bank_case
 from classifier_examples import Examples
@@ -142,6 +143,29 @@ def test_examples_are_kept_and_a_host_without_a_place_has_none(small_rooms, tmp_
     absent = classifier_examples.make_examples("room", "modification", *arguments[2:])
     assert absent.share == 0
     assert not len(absent.labels)
+
+
+def test_hosts_of_a_curve_grow_and_leave_out_a_source():
+    names = ["a", "a-0-mcmc", "b", "b-0-mcmc", "b-1-adaptive", "c"]
+    sets = list(sources.host_sets(names, "a"))
+    assert [len(some) for some in sets] == [1, 2, 4] * sources.ORDERS
+    assert all(some <= set(names[2:]) for some in sets)
+    for smaller, larger in ((0, 1), (1, 2), (3, 4), (4, 5)):
+        assert sets[smaller] < sets[larger]
+
+
+def test_networks_of_a_curve_know_neither_host_nor_donor_of_the_source(monkeypatch):
+    def train_network(own, seed):
+        return [(case.host, case.sources) for case in own]
+
+    monkeypatch.setattr(sources, "train_network", train_network)
+    pasted = examples("b", 2, pasted_from="a")
+    cases = [examples("a", 0), examples("b", 1), pasted, examples("c", 3)]
+    networks = sources.train_networks(cases, ["a", "b", "c"], ["a", "b", "c"])
+    learned = networks["a"]
+    assert sorted(learned[frozenset("bc")]) == [("b", {"b"}), ("c", {"c"})]
+    assert learned.keys() <= {frozenset("b"), frozenset("c"), frozenset("bc")}
+    assert sum(len(own) for own in networks["b"].values()) >= 3
 
 
 def test_only_cases_that_may_take_minutes_are_stored(small_rooms, tmp_path, monkeypatch):

@@ -250,16 +250,18 @@ def is_stored(recipe: Recipe, bank: Path) -> bool:
     )
 
 
+def extent(values: pd.Series, form: str) -> str:
+    """The least and the largest value, or the only one."""
+    return " to ".join(dict.fromkeys(format(float(x), form) for x in (values.min(), values.max())))
+
+
 def report(rows: pd.DataFrame) -> str:
     """The captures by source: how many, how large, how good."""
     lines = []
     for source, own in rows.groupby("source", sort=False):
-        worst, best = own.psnr.min(), own.psnr.max()
-        sizes = f"{own.gaussians.min():,} to {own.gaussians.max():,}"
-        lines.append(
-            [source, len(own), sizes, f"{own.psnr.mean():.1f}", f"{worst:.1f} to {best:.1f}"]
-        )
-    table = markdown(["source", "captures", "Gaussians", "PSNR (dB)", "range"], lines)
+        sizes, ratios = extent(own.gaussians, ",.0f"), extent(own.psnr, ".1f")
+        lines.append([source, len(own), sizes, f"{own.psnr.mean():.1f}", ratios])
+    table = markdown(["source", "captures", "Gaussians", "PSNR (dB)", "from, to"], lines)
     strategies = rows.groupby("strategy").psnr.agg(["count", "mean"])
     summary = ", ".join(
         f"{name}: {int(row['count'])} with {row['mean']:.1f} dB"

@@ -92,9 +92,8 @@ def refuted(tampered: np.ndarray, region: np.ndarray, prior: Prior, means: Array
     Masks cannot tell an edit that they miss in 40 % of the views from an authentic region that they
     flag in 60 %. `tampered` (C,) are the classes in question, `region` (N,) that of each Gaussian.
     """
-    ranks = np.full(len(tampered), ORDINARY)
-    for k in np.flatnonzero(tampered):
-        ranks[k] = rank_in_scene(prior, region == k, means) or ORDINARY
+    classes = [one and rank_in_scene(prior, region == k, means) for k, one in enumerate(tampered)]
+    ranks = np.array([rank or ORDINARY for rank in classes])
     return tampered & (ranks > ORDINARY) & (ranks[tampered].min(initial=1) <= STANDS_OUT)
 
 

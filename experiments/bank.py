@@ -84,7 +84,7 @@ def hosts(bank: Path, data: Path = DATA) -> list[str]:
 
 
 def training_seeds(host: str) -> range:
-    """Seeds of the cases of each kind of edit of a host, from which the classifier learns."""
+    """Seeds of the cases that the classifier learns from, for a host and each kind of edit."""
     if "-" in host:
         return range(FIRST_SEED + 1, FIRST_SEED + 1 + CAPTURE_SEEDS)
     return range(FIRST_SEED, FIRST_SEED + SCENE_SEEDS)

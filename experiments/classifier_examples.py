@@ -41,7 +41,7 @@ class Examples:
 def stored_case(
     host: str, edit: Kind, seed: int, bank: Path, data: Path, keep: Path
 ) -> BankCase | None:
-    """As `draw_case`; a case whose edit may take minutes is read from a file in `keep`."""
+    """Draw a case as `draw_case` does, and keep it in a file if making its edit takes minutes."""
     if seed >= FIRST_SEED + PROGRAM_SEEDS:
         return draw_case(host, edit, seed, bank, data)
     path = keep / "cases" / f"{host}_{edit}_{seed}.pickle"

@@ -73,7 +73,7 @@ def quick_seeds(host: str) -> Sequence[int]:
 
 
 def host_sets(names: Sequence[str], source: str) -> Iterator[frozenset[str]]:
-    """Growing sets of the hosts of other sources than this one."""
+    """Growing random sets of hosts, none of which shows this source."""
     others = [name for name in names if source_of(name) != source]
     for order in range(ORDERS):
         shuffled = np.random.default_rng([order, *source.encode()]).permutation(others).tolist()
@@ -82,15 +82,15 @@ def host_sets(names: Sequence[str], source: str) -> Iterator[frozenset[str]]:
 
 def train_networks(
     cases: Sequence[Examples], names: Sequence[str], sources: Sequence[str]
-) -> dict[str, Networks]:
-    """Train the networks that do not know a source, for each source."""
+) -> Mapping[str, Networks]:
+    """For each source, train networks on sets of hosts of other sources."""
     jobs = dict.fromkeys((source, some) for source in sources for some in host_sets(names, source))
     networks: dict[str, dict[frozenset[str], Layers]] = {source: {} for source in sources}
     for seed, (source, some) in enumerate(tqdm(jobs, desc="networks", disable=None)):
         own = [case for case in cases if case.host in some and source not in case.sources]
         if own:
             networks[source][some] = train_network(own, seed=seed)
-    return {**networks}
+    return networks
 
 
 def rows_of(
@@ -98,7 +98,7 @@ def rows_of(
 ) -> Iterator[Row]:
     """Measure one case by every network that does not know its source."""
     case, source = draw_case(host, edit, seed, args.bank, args.data), source_of(host)
-    # All numbers of hosts on the same cases: none of a donor that some of the networks saw.
+    # Networks are compared on the same cases, so no object may come from what some of them saw.
     if case is None or case.sources & networks.keys() != {source}:
         return
     features = compute_features(with_finite_scales(case.gaussians))

@@ -5,7 +5,9 @@ The cases are those of `bank.py`; the tables use other edits, and other objects 
 
 import dataclasses
 import pickle
+from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 import jax
 import numpy as np
@@ -14,9 +16,11 @@ from bank import FIRST_SEED, PROGRAM_SEEDS, BankCase, Kind, bank_case
 from gsc_jax.benchmark.tamper import Edit
 from gsc_jax.forensics.features import compute_features, with_finite_scales
 from gsc_jax.io.files import atomic
+from gsc_jax.scene import InputError
 
 MAX_TAMPERED, MAX_AUTHENTIC = 3000, 6000
 """Gaussians per case."""
+T = TypeVar("T")
 RETRY, RETRIES = 10_000, 3
 """Step and number of the seeds that are tried where a host has no place for an edit."""
 
@@ -45,25 +49,30 @@ def stored_case(
     if seed >= FIRST_SEED + PROGRAM_SEEDS:
         return draw_case(host, edit, seed, bank, data)
     path = keep / "cases" / f"{host}_{edit}_{seed}.pickle"
+    return kept(path, lambda: _on_host(draw_case(host, edit, seed, bank, data)))
+
+
+def kept(path: Path, make: Callable[[], T]) -> T:
+    """What a file holds, or else what `make` returns, which is stored in it."""
     if not path.exists():
-        case = draw_case(host, edit, seed, bank, data)
         path.parent.mkdir(parents=True, exist_ok=True)
+        made = pickle.dumps(make())
         with atomic(path) as temporary:
-            temporary.write_bytes(pickle.dumps(case and _on_host(case)))
+            temporary.write_bytes(made)
     return pickle.loads(path.read_bytes())
 
 
-def _on_host(case: BankCase) -> BankCase:
-    return dataclasses.replace(case, gaussians=jax.tree.map(np.asarray, case.gaussians))
+def _on_host(case: BankCase | None) -> BankCase | None:
+    return case and dataclasses.replace(case, gaussians=jax.tree.map(np.asarray, case.gaussians))
 
 
 def draw_case(host: str, edit: Kind, seed: int, bank: Path, data: Path) -> BankCase | None:
-    """Draw a case of the bank, or None if the host has no place for such an edit."""
+    """Draw a case of the bank, or None if the host has no place for such an edit, or no object."""
     jax.clear_caches()  # cases differ in size: after hundreds, a process has too many memory maps
     for retry in range(RETRIES):
         try:
             return bank_case(host, edit, seed + RETRY * retry, bank, data)
-        except ValueError:  # no place (InputError), or an object cut out with hardly a Gaussian
+        except InputError:
             continue
     return None
 

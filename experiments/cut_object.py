@@ -37,7 +37,7 @@ def cut_object(
         in x and z.
 
     Raises:
-        InputError: if the cameras do not see the scene.
+        InputError: if the cameras do not see the scene, or only objects of a few Gaussians.
     """
     rng = np.random.default_rng([seed, len(EDITS)])
     visibility = measure_visibility(gaussians, cameras, near=near)

@@ -21,7 +21,7 @@ import numpy as np
 import optax
 from bank import BANK, NO_EDIT, BankCase, Kind, hosts, source_of, training_seeds
 from cases import DATA, available
-from classifier_examples import Examples, make_examples, stored_case
+from classifier_examples import Examples, kept, make_examples, stored_case
 from runner import start
 from scipy.optimize import minimize
 from tqdm import tqdm
@@ -38,7 +38,7 @@ from gsc_jax.forensics.features import MAX_DEVIATION, compute_features, with_fin
 from gsc_jax.io.files import atomic
 from gsc_jax.scene import InputError
 
-CALIBRATION_SEEDS: dict[Kind, int] = {**dict.fromkeys(EDITS, 2), NO_EDIT: 8}
+CALIBRATION_SEEDS: dict[Kind, int] = {**dict.fromkeys(EDITS, 2), NO_EDIT: 4}
 """Number of seeds of each host and kind that calibrate; authentic ones differ in their history."""
 SAMPLE = 20_000
 """Gaussians of a whole case used for calibration."""
@@ -63,8 +63,9 @@ class Args:
     Attributes:
         data: The real scenes.
         bank: The captures; without them only scenes of cases.py are edited.
-        keep: Folder of the features and slow edits, for a second run, and of the classifiers that
-            leave out a scene. Remove it after a change of the features, of an edit or of the bank.
+        keep: Folder of features, slow edits, networks and their outputs, with which a run that was
+            stopped goes on, and of the classifiers that leave out a scene. Remove it after a change
+            of the features, of an edit or of the bank.
         out: File of the classifier of the package.
     """
 
@@ -201,9 +202,11 @@ class SceneOutput:
         return self.networks + classifier.novelty * self.novelty
 
 
-def scene_outputs(
-    case: BankCase, host: str, folds: Sequence[Fold]
-) -> dict[str | None, SceneOutput]:
+Outputs = dict[str | None, SceneOutput]
+"""By the scene that was left out."""
+
+
+def scene_outputs(case: BankCase, host: str, folds: Sequence[Fold]) -> Outputs:
     """Outputs for a whole case by the held-out scene of each fold that did not see its sources."""
     features = compute_features(with_finite_scales(case.gaussians))
     means = np.asarray(case.gaussians.means, np.float32)
@@ -303,29 +306,34 @@ def main(args: Args) -> None:
     progress = tqdm(jobs, desc="cases", disable=None)
     made = [make_examples(*job, args.bank, args.data, args.keep) for job in progress]
     cases = [case for case in made if case.share > 0]
-    networks = train_networks(cases, scenes)
+    networks = kept(args.keep / "networks.pickle", lambda: train_networks(cases, scenes))
     folds = [make_fold(heldout, cases, networks) for heldout in (None, *scenes)]
-    outputs = list(whole_outputs(names, folds, args))
+    outputs = list(whole_outputs(folds, args))
     for fold in folds:
         own = [by[fold.heldout] for by in outputs if fold.heldout in by]
         path = args.keep / f"without-{fold.heldout}.npz" if fold.heldout else args.out
         save(path, calibrated(fold.classifier, own))
 
 
-def whole_outputs(
-    names: Sequence[str], folds: Sequence[Fold], args: Args
-) -> Iterator[dict[str | None, SceneOutput]]:
-    """Yield the outputs for whole cases of each host, edited and not."""
-    jobs: list[tuple[str, Kind, int]] = [
+def whole_outputs(folds: Sequence[Fold], args: Args) -> Iterator[dict[str | None, SceneOutput]]:
+    """Yield the outputs for whole cases of each host, edited and not, and keep them in files."""
+    for host, edit, seed in tqdm(calibration_cases(args), desc="whole cases", disable=None):
+
+        def compute(job: tuple[str, Kind, int] = (host, edit, seed)) -> Outputs:
+            case = stored_case(*job, args.bank, args.data, args.keep)
+            return scene_outputs(case, job[0], folds) if case else {}
+
+        yield kept(args.keep / "outputs" / f"{host}_{edit}_{seed}.pickle", compute)
+
+
+def calibration_cases(args: Args) -> list[tuple[str, Kind, int]]:
+    """Host, kind of edit and seed of the whole cases."""
+    return [
         (host, edit, training_seeds(host)[0] + k)
-        for host in names
+        for host in hosts(args.bank, args.data)
         for edit, count in CALIBRATION_SEEDS.items()
         for k in range(count)
     ]
-    for host, edit, seed in tqdm(jobs, desc="whole cases", disable=None):
-        case = stored_case(host, edit, seed, args.bank, args.data, args.keep)
-        if case:
-            yield scene_outputs(case, host, folds)
 
 
 if __name__ == "__main__":

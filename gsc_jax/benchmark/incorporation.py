@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from gsc_jax.benchmark import regions
 from gsc_jax.render.spherical_harmonics import rotate
-from gsc_jax.scene import Array, Gaussians
+from gsc_jax.scene import Array, Gaussians, InputError
 from gsc_jax.scene.gaussians import concatenate, with_degree
 
 PLACES = 96
@@ -132,15 +132,15 @@ def placement_cost(
 def extent(gaussians: Gaussians) -> tuple[np.ndarray, np.ndarray]:
     """Corners of the box of the opaque centres, without the outer 0.5 % on each side.
 
-    An object with too few opaque Gaussians or without extent raises ValueError.
+    An object with too few opaque Gaussians or without extent raises InputError.
     """
     opaque = np.asarray(gaussians.opacities) > 0.5
     means = np.asarray(gaussians.means, np.float64)
     if np.count_nonzero(opaque) < 10:
-        raise ValueError(f"the object has {np.count_nonzero(opaque)} opaque Gaussians, not enough")
+        raise InputError(f"the object has {np.count_nonzero(opaque)} opaque Gaussians, not enough")
     low, high = np.quantile(means[opaque], [0.005, 0.995], axis=0)
     if not (high > low).all():
-        raise ValueError("the object has no extent")
+        raise InputError("the object has no extent")
     return low, high
 
 

@@ -30,8 +30,8 @@ from gsc_jax.forensics.evidence import (
     forensic_evidence,
 )
 
-SEEDS = (FIRST_SEED + 1, FIRST_SEED + PROGRAM_SEEDS + 1, FIRST_SEED + PROGRAM_SEEDS + 3)
-"""One of whole hosts with the programs of editors, two of parts with quick edits."""
+SEEDS = (FIRST_SEED + 1, FIRST_SEED + PROGRAM_SEEDS + 1)
+"""One of whole hosts with the programs of editors, one of parts with quick edits."""
 ALARM = 0.5
 """Scene probability from which a scene is called edited."""
 KINDS: tuple[Kind, ...] = (*EDITS, NO_EDIT)

@@ -19,7 +19,7 @@ from gsc_jax.forensics.classifier import Classifier, combined_log_odds, default_
 from gsc_jax.forensics.copy_move import copy_move
 from gsc_jax.forensics.quantisation import quantisation
 from gsc_jax.forensics.row_order import row_order
-from gsc_jax.forensics.traces import NEIGHBOURS as LINKED
+from gsc_jax.forensics.traces import NEIGHBOURS as TRACE_NEIGHBOURS
 from gsc_jax.forensics.traces import Trace, any_trace, quaternion_convention, sh_degree
 from gsc_jax.scene import Gaussians
 from gsc_jax.scene.gaussians import usable_rows
@@ -74,20 +74,21 @@ def forensic_evidence(
     sound, in_file = features.with_finite_scales(host.take(rows)), np.argsort(rows)
     means = np.asarray(sound.means, np.float32)
     computed = features.compute_features(sound) if enough else None
-    near = computed.neighbourhoods.nearest[:, :LINKED] if computed else np.zeros((0, 0), int)
     with ThreadPoolExecutor(1) as beside:
-        found = beside.submit(_traces, sound, computed, near, in_file) if with_traces else None
+        found = beside.submit(_traces, sound, computed, in_file) if with_traces else None
         raw = combined_log_odds(computed, means, classifier) if computed else np.zeros(0)
-        linked = np.argsort(in_file)[near[in_file]]
-        output = calibrate(raw[in_file], means[in_file], linked, known, classifier)
+        output = calibrate(raw[in_file], means[in_file], known, classifier)
     return combine(output, [_expanded(trace, known) for trace in (found.result() if found else ())])
 
 
 def _traces(
-    sound: Gaussians, computed: features.Features | None, near: np.ndarray, in_file: np.ndarray
+    sound: Gaussians, computed: features.Features | None, in_file: np.ndarray
 ) -> list[Trace]:
     """All traces, in the order of the file; none are found without features."""
-    duplicates = computed.duplicates if computed else None
+    near, duplicates = np.zeros((len(sound), 0), int), None
+    if computed:
+        near, duplicates = computed.neighbourhoods.nearest, computed.duplicates
+        near = near[:, :TRACE_NEIGHBOURS]
     traces = [copy_move(sound, near, duplicates), *(trace(sound, near) for trace in LOCAL_TRACES)]
     traces = [dataclasses.replace(trace, score=trace.score[in_file]) for trace in traces]
     return [*traces, row_order(sound, in_file)]

@@ -64,13 +64,15 @@ def classifier_without(scene: str, keep: Path) -> Classifier:
     """The classifier that never saw a scene; in a quick run, that of the package."""
     if scene == QUICK:
         return default_classifier()
-    path = keep / f"without-{scene}.npz"
+    return stored(keep / f"without-{scene}.npz")
+
+
+def stored(path: Path) -> Classifier:
+    """The classifier that `train_classifier.py` left in a file."""
     if not path.exists():
-        raise InputError(
-            f"{path}: does not exist; run experiments/train_classifier.py --keep {keep} first"
-        )
-    with np.load(path) as stored:
-        return from_arrays(stored)
+        raise InputError(f"{path}: does not exist; run experiments/train_classifier.py first")
+    with np.load(path) as arrays:
+        return from_arrays(arrays)
 
 
 def rows_of(case: Case, mixture: Failures, keep: Path) -> Iterator[Row]:

@@ -1,22 +1,25 @@
 """The attributes alone on sources that nothing was trained on, after every exporter.
 
-    python experiments/unseen.py [--out docs]
+    python experiments/unseen.py [--out docs] [--classifier .cues/bank.npz]
 
-The classifier is that of the package, which was trained on five other scenes and other objects.
+The classifier is that of the package, or one that `train_classifier.py` left in a file; both were
+trained on other scenes and other objects.
 Edited scenes are exported, and authentic ones have a harmless history: an export, a crop, a motion.
 """
 
 import dataclasses
 from collections.abc import Iterator
+from pathlib import Path
 
 import pandas as pd
 from cases import QUICK, UNSEEN, Case, make_case, without_edit
 from export import EXPORTERS, export
-from native import WITH_TRACES, rows_without_masks
+from native import WITH_TRACES, rows_without_masks, stored
 from runner import Args, measured, start
 from tables import Frame, Row, markdown, pivot, where, write_section
 from tqdm import tqdm
 
+from gsc_jax.forensics.classifier import Classifier, default_classifier
 from gsc_jax.forensics.evidence import forensic_evidence
 from gsc_jax.scene import InputError
 
@@ -29,10 +32,15 @@ ALARM = 0.5
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class UnseenArgs(Args):
-    """Arguments of the experiment, by default for the unseen scenes."""
+    """Arguments of the experiment, by default for the unseen scenes.
+
+    Attributes:
+        classifier: File of another classifier than that of the package.
+    """
 
     scenes: tuple[str, ...] = UNSEEN
     seeds: int = 2
+    classifier: Path | None = None
 
 
 def exported(case: Case, exporter: str) -> Case:
@@ -43,25 +51,26 @@ def exported(case: Case, exporter: str) -> Case:
     return dataclasses.replace(case, gaussians=saved, labels=case.labels[rows])
 
 
-def rows_of(case: Case, exporter: str) -> Iterator[Row]:
+def rows_of(case: Case, exporter: str, classifier: Classifier) -> Iterator[Row]:
     """Measure one case after one exporter."""
     own = exported(case, exporter)
-    evidence = forensic_evidence(own.gaussians)
+    evidence = forensic_evidence(own.gaussians, classifier=classifier)
     for row in rows_without_masks(own, evidence):
         yield {**row, "export": exporter}
 
 
-def all_rows(args: Args) -> Iterator[Iterator[Row]]:
+def all_rows(args: UnseenArgs) -> Iterator[Iterator[Row]]:
     """Measure every edit after the lossy exporters, and every authentic scene after all."""
     if not (args.quick or (args.data / "scenes").is_dir()):
         raise InputError(f"{args.data}: no scenes; this experiment needs the real ones")
+    classifier = stored(args.classifier) if args.classifier else default_classifier()
     for case in args.cases():
         for exporter in (AS_EDITED, *LOSSY):
-            yield rows_of(case, exporter)
+            yield rows_of(case, exporter, classifier)
     for scene in (QUICK,) if args.quick else args.scenes:
         case = without_edit(make_case(scene, "modification", args.first_seed, args.data))
         for exporter in tqdm((AS_EDITED, *EXPORTERS), desc=f"authentic {scene}", disable=None):
-            yield rows_of(case, exporter)
+            yield rows_of(case, exporter, classifier)
 
 
 def report(rows: Frame) -> str:

@@ -18,7 +18,6 @@ MAX_LOG_ODDS = 12.0
 """Clip log odds to this magnitude: probabilities within 1e-5 of 0 or 1 are not calibrated."""
 PART = 64
 """Gaussians in a part of a scene; the part with the highest mean log odds represents the scene."""
-
 GAP_RANGE, GAP_HALF_WIDTH = (0.05, 0.4), 0.1
 """Range of levels, from base rate (0) to peak (1), searched for a gap, and half the width of a gap;
 chosen by F1 on cases of experiments/bank.py by classifiers that never saw their hosts."""

@@ -19,8 +19,7 @@ from gsc_jax.forensics.classifier import Classifier, combined_log_odds, default_
 from gsc_jax.forensics.copy_move import copy_move
 from gsc_jax.forensics.quantisation import quantisation
 from gsc_jax.forensics.row_order import row_order
-from gsc_jax.forensics.traces import NEIGHBOURS as TRACE_NEIGHBOURS
-from gsc_jax.forensics.traces import Trace, any_trace, quaternion_convention, sh_degree
+from gsc_jax.forensics.traces import NEIGHBOURS, Trace, any_trace, quaternion_convention, sh_degree
 from gsc_jax.scene import Gaussians
 from gsc_jax.scene.gaussians import usable_rows
 from gsc_jax.scene.neighbours import order_of_leaves
@@ -85,10 +84,8 @@ def _traces(
     sound: Gaussians, computed: features.Features | None, in_file: np.ndarray
 ) -> list[Trace]:
     """All traces, in the order of the file; none are found without features."""
-    near, duplicates = np.zeros((len(sound), 0), int), None
-    if computed:
-        near, duplicates = computed.neighbourhoods.nearest, computed.duplicates
-        near = near[:, :TRACE_NEIGHBOURS]
+    near = (computed.neighbourhoods.nearest if computed else np.zeros((0, 0), int))[:, :NEIGHBOURS]
+    duplicates = computed.duplicates if computed else None
     traces = [copy_move(sound, near, duplicates), *(trace(sound, near) for trace in LOCAL_TRACES)]
     traces = [dataclasses.replace(trace, score=trace.score[in_file]) for trace in traces]
     return [*traces, row_order(sound, in_file)]

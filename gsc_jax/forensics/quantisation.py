@@ -24,6 +24,9 @@ BIN = 8
 MIN_EIGENVALUE = 0.7
 """Correlation of the exact levels of neighbours, given their bins, above which there are two sets:
 at most 0.56 in authentic objects with one codebook, 0.77 to 0.98 in edits."""
+MAX_SINGLE_SHARE = 0.3
+"""Share of values nearby that occur once above which an unquantised scene shares the others by
+chance, as where an exporter merged equal colours: 0.40 there, at most 0.04 in pasted objects."""
 SCENE_FACTOR = 2.0
 """Weight of distances to the levels of the scene, since those of an edit scatter towards them."""
 MAX_BLOCK_SHARE = 0.2
@@ -68,7 +71,8 @@ def off_levels(column: np.ndarray, neighbours: np.ndarray) -> tuple[np.ndarray, 
     if common.sum() < 2 * BIN:  # too few levels to distinguish two sets
         return nothing, nothing
     if np.median(counts[codes]) <= MAX_FREE_REPEATS:
-        return shared, nothing
+        once = (counts == 1)[codes[neighbours[region_scores(shared, neighbours) > 0.5]]]
+        return nothing if once.any() and once.mean() > MAX_SINGLE_SHARE else shared, nothing
     if shared.mean() < 0.5:  # neither quantised, with some values pasted, nor free
         return nothing, nothing
     level = np.where(shared, np.cumsum(common)[codes] - 1, -1)

@@ -41,6 +41,17 @@ def test_quantised_values_in_an_unquantised_scene_are_marked():
     assert_matches(detected(quantisation, edited), labels_of(edited, part), recall=0.8)
 
 
+@pytest.mark.parametrize(("others", "found"), [(0.0, True), (0.5, False)])
+def test_a_part_of_equal_colours_among_others_is_none_with_levels(others, found):
+    """As where an exporter merged pairs of Gaussians, of which many had the same colour."""
+    part, rng = central_rows(room(), 800), np.random.default_rng(0)
+    sh = np.array(room().sh[part])
+    equal = rng.random(len(part)) >= others
+    sh[equal, 0] = rng.integers(0, 20, (equal.sum(), 1)) / np.float32(20)
+    trace = detected(quantisation, changed(room(), part, sh=sh))
+    assert trace.found == found
+
+
 def test_second_set_of_levels_between_those_of_the_scene_is_marked():
     host = quantised_room(20_000)
     part = central_rows(host, 2000)

@@ -68,7 +68,7 @@ def classifier_without(scene: str, keep: Path) -> Classifier:
 
 
 def stored(path: Path) -> Classifier:
-    """The classifier that `train_classifier.py` left in a file."""
+    """Read a classifier from a file that `train_classifier.py` wrote."""
     if not path.exists():
         raise InputError(f"{path}: does not exist; run experiments/train_classifier.py first")
     with np.load(path) as arrays:

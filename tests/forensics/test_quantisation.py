@@ -43,7 +43,7 @@ def test_quantised_values_in_an_unquantised_scene_are_marked():
 
 @pytest.mark.parametrize(("others", "found"), [(0.0, True), (0.5, False)])
 def test_a_part_of_equal_colours_among_others_is_none_with_levels(others, found):
-    """As where an exporter merged pairs of Gaussians, of which many had the same colour."""
+    """A level of detail merges pairs of Gaussians; where both had one colour, it stays exact."""
     part, rng = central_rows(room(), 800), np.random.default_rng(0)
     sh = np.array(room().sh[part])
     equal = rng.random(len(part)) >= others

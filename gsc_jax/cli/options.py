@@ -158,9 +158,9 @@ class View:
 
     the page shows:
       the scene with the labelled Gaussians marked, or without marks, a
-      heat map of the scores, only one of both groups, and a list of
-      cameras; if it is served, also a slider for the threshold, the
-      values of a Gaussian at a click, and boxes (shift) and exports
+      heat map of the scores, or only one of both groups, by a threshold;
+      its cameras; the values of a Gaussian at a click; a selection with
+      boxes or a brush; and it writes parts of the scene as .ply
 
     Attributes:
         folder: Folder with the results of `locate`.

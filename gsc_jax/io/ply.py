@@ -140,21 +140,15 @@ def save_ply(path: str | Path, gaussians: Gaussians, *, tamper: Array | None = N
     save_parts(path, host, lambda rows: host.take(rows), scores)
 
 
-def save_tampered(
-    path: str | Path, scene: PlyScene, tamper: Array, *, keep: np.ndarray | None = None
-) -> None:
+def save_tampered(path: str | Path, scene: PlyScene, tamper: Array) -> None:
     """Write the scene as it was read, plus a last float32 property `tamper`.
 
     Every row, property, element and comment is kept, in order and type; an existing property
     `tamper` is replaced. The output is binary little endian and may replace the file that was read.
-    Scores have shape (N,); excluded rows get 0. With `keep`, (total,) bool, only some rows are
-    written; InputError if none of them can be rendered. Indices in other elements do not follow.
+    Scores have shape (N,); excluded rows get 0.
     """
-    if keep is not None and not keep[scene.rows].any():
-        raise InputError(f"{path}: not written: no Gaussian was chosen; choose some")
-    chosen = slice(None) if keep is None else np.flatnonzero(keep)
-    scores, vertex = checked_scores(path, tamper, len(scene.rows)), copy.copy(scene.ply["vertex"])
-    scores, data = scene.expand(scores)[chosen], vertex.data[chosen]
+    scores = scene.expand(checked_scores(path, tamper, len(scene.rows)))
+    vertex, data = copy.copy(scene.ply["vertex"]), scene.ply["vertex"].data
 
     def vertices(rows: slice) -> PlyElement:
         vertex.data = data[rows]

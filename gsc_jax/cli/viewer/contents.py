@@ -1,14 +1,13 @@
-"""What the viewer shows of a folder of results; the same for the served and the written page."""
+"""What the viewer shows of a folder of results."""
 
 import dataclasses
-from pathlib import Path
 
 import numpy as np
 
 from gsc_jax.cli.pictures import CANDIDATE, TINT
-from gsc_jax.cli.report.wording import are_candidates, headline, labels_sentence, percent, share
+from gsc_jax.cli.report.wording import are_candidates, headline, labels_sentence, percent
 from gsc_jax.cli.results import Results
-from gsc_jax.cli.viewer.splats import Layer, Splats, heat, largest, layer_colours, splats
+from gsc_jax.cli.viewer.splats import Splats, by_importance, splats
 from gsc_jax.render.orbit import mean_up
 from gsc_jax.render.projection import NEAR
 from gsc_jax.scene import Array, Camera
@@ -74,8 +73,7 @@ class Contents:
         threshold: Score above which the run labelled a Gaussian as tampered.
         tint: Colour of the labelled Gaussians, shape (3,).
         rows: Rows of the splats in the scene file, shape (N,) int64.
-        folder: The folder of results, in the `version` that is shown.
-        max_bytes: Memory that reading it again may take; None for the default.
+        total: Rows of the scene file.
         up: Unit up direction, shape (3,).
         near: Near plane in world units.
         far: Far plane: twice the diagonal of the box around all splats, cameras and their targets.
@@ -88,37 +86,17 @@ class Contents:
     threshold: float
     tint: np.ndarray
     rows: np.ndarray
-    folder: Path
-    version: object
-    max_bytes: int | None
+    total: int
     poses: list[Pose]
     up: np.ndarray
     near: float
     far: float
 
-    def colours(self, layer: Layer, threshold: float) -> tuple[np.ndarray, np.ndarray]:
-        """Colours (N, 3) and opacities (N, 1) of a layer."""
-        return layer_colours(self.splats, self.score, layer, threshold, tint=self.tint)
 
-    def with_most(self, count: int) -> "Contents":
-        """The same with at most `count` splats."""
-        rows = largest(self.splats, count, labelled=self.score > self.threshold)
-        parts = {"score": self.score[rows], "rows": self.rows[rows]}
-        return dataclasses.replace(self, splats=self.splats.take(rows), **parts)
-
-
-def version(folder: Path) -> object:
-    """Changes with the results in a folder."""
-    status = (folder / "result.json").stat()
-    return status.st_mtime_ns, status.st_size
-
-
-def viewer_contents(
-    results: Results, *, most: int, max_bytes: int | None = None
-) -> tuple[Contents, list[str]]:
-    """Contents with at most `most` Gaussians, and notes for the user."""
+def viewer_contents(results: Results, *, most: int) -> tuple[Contents, list[str]]:
+    """Contents with the `most` important Gaussians, the first of them first, and notes."""
     gaussians = results.scene.gaussians
-    rows = largest(gaussians, most, labelled=results.labels)
+    rows = by_importance(gaussians, labelled=results.labels)[:most]
     chosen = splats(gaussians.take(rows))
     means = np.asarray(gaussians.means)
     sample = means[np.linspace(0, len(means) - 1, min(len(means), MAX_DEPTH_SAMPLES)).astype(int)]
@@ -134,34 +112,13 @@ def viewer_contents(
         threshold=float(results.report["config"]["threshold"]),
         tint=CANDIDATE if are_candidates(results.report.get("verdict")) else TINT,
         rows=results.scene.rows[rows],
-        folder=results.folder,
-        version=version(results.folder),
-        max_bytes=max_bytes,
+        total=results.scene.total,
         poses=poses,
         up=up,
         near=near,
         far=2 * float(np.linalg.norm(np.ptp(np.concatenate([chosen.centers, places]), axis=0))),
     )
     return contents, _omission(results, rows)
-
-
-def count_sentence(score: np.ndarray, threshold: float) -> str:
-    """State how many of the scores (N,) are above a threshold."""
-    above = int(np.count_nonzero(score > threshold))
-    return f"{above:,} of {len(score):,} Gaussians ({share(above / len(score))}) score above it."
-
-
-def legend() -> str:
-    """The colours of the heat map with their scores, as HTML."""
-    levels = np.rint(255 * heat(np.linspace(0, 1, 9))).astype(int)
-    colours = ", ".join(f"rgb({red}, {green}, {blue})" for red, green, blue in levels)
-    return (
-        '<div style="padding: 0 1em 0.5em; font-size: 0.85em">'
-        '<div style="display: flex; justify-content: space-between">'
-        "<span>0 authentic</span><span>score</span><span>tampered 1</span></div>"
-        '<div style="height: 0.8em; border-radius: 2px; '
-        f'background: linear-gradient(to right, {colours})"></div></div>'
-    )
 
 
 def _sentences(results: Results) -> list[str]:

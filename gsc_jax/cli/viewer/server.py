@@ -1,40 +1,32 @@
-"""`gsc-jax view`: results of `locate` in 3D in a browser, drawn by viser, served or as a page.
+"""`gsc-jax view`: results of `locate` in 3D in a browser, as a page that is served or written.
 
-The written page holds viser's standalone client in a frame, under a bar that selects the camera.
-viser reads the first view from the address of its page (`?initialCameraPosition=...`). The page
-therefore loads itself into the frame with such an address, and there replaces itself by the client.
-The frame is sandboxed, since browsers refuse the client's workers in pages opened from a file.
+The served page is the written one, beside the scene file that it exports parts of. It is sent only
+to who knows the random token in the address that `view` prints: other programs and web pages that
+are open in a browser may send requests to servers of the same machine, too.
 """
 
 import contextlib
+import secrets
+import shutil
 import socket
 import threading
 import webbrowser
-from collections.abc import Callable, Iterator, Mapping
-from importlib.resources import files
+from collections.abc import Callable, Iterator
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import TYPE_CHECKING
-from urllib.parse import urlencode
-
-import numpy as np
 
 from gsc_jax.cli.options import View
 from gsc_jax.cli.ownership import refuse_foreign_file
-from gsc_jax.cli.results import read_results
-from gsc_jax.cli.viewer.access import Access, guarded
-from gsc_jax.cli.viewer.contents import Contents, Pose, legend, viewer_contents
-from gsc_jax.cli.viewer.controls import add_layers, add_viewer, set_first_view
+from gsc_jax.cli.results import read_results, result_file
+from gsc_jax.cli.viewer.contents import viewer_contents
+from gsc_jax.cli.viewer.page import viewer_page
 from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.io.files import atomic, memory_limit
 from gsc_jax.scene import InputError
 
-if TYPE_CHECKING:
-    import viser
-
 TITLE_END = "gsc-jax</title>"
 """In the title of every written page."""
-WITHOUT_GPU = 10_000, 40_000
-"""Gaussians of a written page in a browser without a graphics card: at first, and on request."""
 ALL_ADDRESSES = ("0.0.0.0", "::")
 """Hosts that stand for every address of this machine."""
 
@@ -57,62 +49,94 @@ def run_view(
     """
     _check(options)
     monitor = monitor or Monitor()
-    monitor.progress("load", 0, 1)
-    limit = memory_limit(options.memory)
+    monitor.progress("load", 0, 2)
     # The results are not kept in a variable: they are large, and serving lasts.
     contents, notes = viewer_contents(
-        read_results(options.folder, max_bytes=limit), most=options.most, max_bytes=limit
+        read_results(options.folder, max_bytes=memory_limit(options.memory)), most=options.most
     )
-    monitor.progress("load", 1, 1)
+    monitor.progress("load", 1, 2)
+    page = viewer_page(contents)
+    monitor.progress("load", 2, 2)
     if options.html is not None:
-        return [write_page(options.html, contents)], notes
-    access = Access(host=options.host)
-    with serving(access, port=options.port) as server:
-        add_viewer(server, contents)
-        port = server.get_port()
-        for line in (_address_line(options, port, access.token), *notes, "end with Ctrl-C"):
+        return [write_page(options.html, page)], notes
+    del contents
+    token, scene = secrets.token_urlsafe(16), result_file(options.folder, "tamper.ply")
+    with serving(page, scene, token=token, host=options.host, port=options.port) as port:
+        for line in (_address_line(options, port, token), *notes, "end with Ctrl-C"):
             say(line)
         if not options.no_browser:
-            webbrowser.open(_url(options.host, port, access.token))
+            webbrowser.open(_url(options.host, port, token))
         with contextlib.suppress(KeyboardInterrupt):
             (wait or threading.Event().wait)()
     return ["the server has ended"], []
 
 
-def write_page(path: Path, contents: Contents) -> str:
-    """Write a page that needs neither server nor network, and describe it in a line."""
+def write_page(path: Path, page: str) -> str:
+    """Write the page, and describe it in a line."""
     refuse_foreign_file(path, TITLE_END)
-    total = len(contents.score)
-    counts = [*(count for count in WITHOUT_GPU if count < total), total]
-    html = viewer_page({n: _client(contents.with_most(n)) for n in counts}, contents)
     with atomic(path) as temporary:
-        temporary.write_text(html, encoding="utf-8")
-    return f"page     {path} ({len(html) / 2**20:.1f} MiB)"
-
-
-def _client(contents: Contents) -> str:
-    """The page of viser, with the scene inside."""
-    with serving(Access(host="127.0.0.1"), port=0) as server:
-        add_layers(server, contents)
-        set_first_view(server, contents)
-        return server.scene.as_html(dark_mode=True)
+        temporary.write_text(page, encoding="utf-8")
+    return f"page     {path} ({len(page) / 2**20:.1f} MiB)"
 
 
 @contextlib.contextmanager
-def serving(access: Access, *, port: int) -> Iterator["viser.ViserServer"]:
-    """Run an empty viser server inside a block; it uses the next free port if `port` is taken.
+def serving(page: str, scene: Path, *, token: str, host: str, port: int) -> Iterator[int]:
+    """Serve a page and the scene file below `token` inside a block; another port if it is taken."""
+    family, _, _, _, (address, *_) = _address(host)
 
-    Requests without what `access` demands are refused.
-    """
-    import rich
-    import viser
+    class Server(ThreadingHTTPServer):
+        address_family = family
+        daemon_threads = True
 
-    rich.reconfigure(quiet=True)  # viser prints its status with rich
-    with contextlib.ExitStack() as stack:
-        with guarded(access):
-            server = viser.ViserServer(host=access.host, port=port, label="gsc-jax", verbose=False)
-            stack.callback(server.stop)
-        yield server
+    try:
+        server = Server((address, port), _handler(page.encode(), scene, token))
+    except OSError:
+        server = Server((address, 0), _handler(page.encode(), scene, token))
+    thread = threading.Thread(target=server.serve_forever, daemon=True)
+    thread.start()
+    try:
+        yield server.server_address[1]
+    finally:
+        server.shutdown()
+        server.server_close()
+        thread.join()
+
+
+def _handler(page: bytes, scene: Path, token: str) -> type[BaseHTTPRequestHandler]:
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            with contextlib.suppress(ConnectionError):  # the browser has gone
+                self._answer(*self.path.removeprefix("/").partition("?")[0].partition("/")[::2])
+
+        def _answer(self, key: str, name: str) -> None:
+            if not secrets.compare_digest(key.encode(errors="replace"), token.encode()):
+                self.send_error(HTTPStatus.FORBIDDEN, "use the address that was printed")
+            elif name == "":
+                self._send("text/html; charset=utf-8", len(page))
+                self.wfile.write(page)
+            elif name == "tamper.ply" and scene.is_file():
+                with scene.open("rb") as content:
+                    self._send("application/octet-stream", scene.stat().st_size)
+                    shutil.copyfileobj(content, self.wfile)
+            else:
+                self.send_error(HTTPStatus.NOT_FOUND)
+
+        def _send(self, kind: str, length: int) -> None:
+            self.send_response(HTTPStatus.OK)
+            headers = {"Content-Type": kind, "Content-Length": str(length)}
+            safe = {"Cache-Control": "no-store", "Referrer-Policy": "no-referrer"}
+            for header in (headers | safe | {"X-Content-Type-Options": "nosniff"}).items():
+                self.send_header(*header)
+            self.end_headers()
+
+        def log_message(self, *_: object) -> None:
+            """Requests are not printed."""
+
+    return Handler
+
+
+def _address(host: str) -> tuple:
+    return socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
 
 
 def _check(options: View) -> None:
@@ -126,8 +150,8 @@ def _check(options: View) -> None:
     if options.html is not None:
         return
     host, port = options.host, options.port
-    try:  # at an address where nothing can be served, viser would try the next port forever
-        family, kind, _, _, address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
+    try:
+        family, kind, _, _, address = _address(host)
         with socket.socket(family, kind) as probe:
             probe.bind(address)
     except OSError as error:
@@ -149,21 +173,3 @@ def _address_line(options: View, port: int, token: str) -> str:
 def _url(host: str, port: int, token: str) -> str:
     name = "localhost" if host in ALL_ADDRESSES else f"[{host}]" if ":" in host else host
     return f"http://{name}:{port}/{token}/"
-
-
-def viewer_page(clients: Mapping[int, str], contents: Contents) -> str:
-    """Render a page without server and network; the clients, by their Gaussians, are ascending."""
-    from jinja2 import Environment
-
-    template = files("gsc_jax.cli.viewer").joinpath("viewer.html").read_text(encoding="utf-8")
-    views = [(pose.name, _address(pose, contents)) for pose in contents.poses]
-    page = Environment(autoescape=True).from_string(template)
-    return page.render(contents=contents, views=views, legend=legend(), clients=clients)
-
-
-def _address(pose: Pose, contents: Contents) -> str:
-    """Query string with which viser starts at a camera."""
-    facts = {"Position": pose.position, "LookAt": pose.look_at, "Up": pose.up}
-    facts |= {"Fov": pose.fov, "Near": contents.near, "Far": contents.far}
-    numbers = {f"initialCamera{key}": np.ravel(fact).tolist() for key, fact in facts.items()}
-    return urlencode({key: ",".join(map(str, row)) for key, row in numbers.items()}, safe=",")

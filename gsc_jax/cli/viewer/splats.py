@@ -1,12 +1,10 @@
 """Gaussians as viser draws them: coloured ellipsoids without view-dependent colour."""
 
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING
 
 import jax
 import numpy as np
 
-from gsc_jax.cli.pictures import TINT_STRENGTH
-from gsc_jax.io.ply import LUMA
 from gsc_jax.render.spherical_harmonics import Y0
 from gsc_jax.scene import Array, Gaussians, pytree
 from gsc_jax.scene.gaussians import rotation_matrices
@@ -14,12 +12,8 @@ from gsc_jax.scene.gaussians import rotation_matrices
 if TYPE_CHECKING:
     import viser
 
-Layer = Literal["result", "heat map", "original", "tampered only", "authentic only"]
-LAYERS: tuple[Layer, ...] = get_args(Layer)
 COLORMAP = "viridis"
 """Perceptually uniform, also for colour-blind readers."""
-GREY_SHARE = 0.35
-"""Share of the grey scene in the heat map, so that objects can be recognised in it."""
 TYPICAL_HALF, LARGEST_HALF = 0.1, 250.0
 """Typical and largest standard deviation whose square fits float16, in which viser stores it."""
 
@@ -60,20 +54,18 @@ def splats(gaussians: Gaussians) -> Splats:
     )
 
 
-def largest(splats: Gaussians | Splats, count: int, *, labelled: np.ndarray) -> np.ndarray:
-    """Rows of the `count` splats of largest opacity times area, ascending, at most all.
+def by_importance(splats: Gaussians | Splats, *, labelled: np.ndarray) -> np.ndarray:
+    """All rows in an order of which the first ones already show the edit and what surrounds it.
 
-    At least half are visible ones that are `labelled`, (N,) bool, if there are so many, so that the
-    edit and what surrounds it are shown.
+    Each in turn is one of largest opacity times area among the visible that are `labelled`, (N,)
+    bool, and among the others, as long as there are both.
     """
-    if count >= len(labelled):
-        return np.arange(len(labelled))
     axes = np.sort(np.asarray(splats.scales, np.float64), axis=1)
     sizes = np.ravel(splats.opacities) * axes[:, 1] * axes[:, 2]
     order = np.argsort(-sizes, kind="stable")
-    first = order[(labelled & (sizes > 0))[order]][: count // 2]
-    others = order[~np.isin(order, first)]
-    return np.sort(np.concatenate([first, others[: count - len(first)]]))
+    first = (labelled & (sizes > 0))[order]
+    turn = np.where(first, np.cumsum(first), np.cumsum(~first) - 0.5)
+    return order[np.argsort(turn, kind="stable")]
 
 
 def heat(score: Array) -> np.ndarray:
@@ -81,26 +73,6 @@ def heat(score: Array) -> np.ndarray:
     from matplotlib import colormaps
 
     return colormaps[COLORMAP](np.asarray(score, np.float64))[:, :3].astype(np.float32)
-
-
-def layer_colours(
-    splats: Splats, score: Array, layer: Layer, threshold: float, *, tint: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Colours (N, 3) and opacities (N, 1) of a layer; hidden splats have opacity 0.
-
-    `score` has shape (N,); a Gaussian is tampered if its score exceeds the threshold, and has a
-    `tint`, (3,), in the layer "result".
-    """
-    tampered = np.asarray(score) > threshold
-    if layer == "result":
-        tinted = (1 - TINT_STRENGTH) * splats.rgbs + np.float32(TINT_STRENGTH) * tint
-        return np.where(tampered[:, None], tinted, splats.rgbs), splats.opacities
-    if layer == "original":
-        return splats.rgbs, splats.opacities
-    if layer == "heat map":
-        grey = (splats.rgbs @ LUMA)[:, None].astype(np.float32)
-        return (1 - GREY_SHARE) * heat(score) + GREY_SHARE * grey, splats.opacities
-    return splats.rgbs, splats.opacities * (tampered == (layer == "tampered only"))[:, None]
 
 
 def half_precision_unit(splats: Splats) -> float:
@@ -117,12 +89,9 @@ def fit_half_precision(covariances: np.ndarray) -> np.ndarray:
     return covariances * factors[:, None, None].astype(np.float32)
 
 
-def add_splats(
-    server: "viser.ViserServer", name: str, splats: Splats
-) -> "viser.GaussianSplatHandle":
-    """Add splats as a node of the scene."""
-    unit = half_precision_unit(splats)
-    return server.scene.add_gaussian_splats(
+def add_splats(server: "viser.ViserServer", name: str, splats: Splats, unit: float) -> None:
+    """Add splats as a node of the scene, stored in a `unit` of length."""
+    server.scene.add_gaussian_splats(
         name,
         centers=splats.centers / unit,
         covariances=fit_half_precision(splats.covariances / unit**2),

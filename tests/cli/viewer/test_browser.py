@@ -1,10 +1,10 @@
-"""The viewer in a browser: the served page and the written one."""
+"""The viewer in a browser: the served page and the written one, which have the same controls."""
 
 import base64
 import dataclasses
 import time
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import imageio.v3 as iio
 import numpy as np
@@ -14,21 +14,18 @@ from results_folder import write_results
 from selenium.webdriver import ActionChains, Keys
 from selenium.webdriver.common.by import By
 from selenium.webdriver.remote.webelement import WebElement
-from selenium.webdriver.support.expected_conditions import frame_to_be_available_and_switch_to_it
 from selenium.webdriver.support.ui import Select, WebDriverWait
 
 from gsc_jax.cli.results import read_results
-from gsc_jax.cli.viewer.access import Access
 from gsc_jax.cli.viewer.contents import Contents, Pose, viewer_contents
-from gsc_jax.cli.viewer.controls import add_viewer
+from gsc_jax.cli.viewer.page import viewer_page
 from gsc_jax.cli.viewer.server import serving, write_page
+from gsc_jax.io.ply import read_ply, save_tampered
 from gsc_jax.render.orbit import look_at
+from gsc_jax.render.projection import project_centers
 from gsc_jax.scene import Camera, Gaussians
 from gsc_jax.scene.camera import intrinsics
 from gsc_jax.splat import render
-
-if TYPE_CHECKING:
-    import viser
 
 pytest.importorskip("viser")
 
@@ -48,6 +45,14 @@ small.getContext("2d").drawImage(canvas, 0, 0, small.width, small.height);
 return small.toDataURL();
 """
 """The canvas of three.js at one size: viser draws fewer pixels on slow machines."""
+ORDER = """
+let order;
+__viserMutable.scene.traverse((node) => {
+  order ??= node.geometry?.attributes?.sortedIndex?.array;
+});
+return Array.from(order);
+"""
+"""Splats in the order in which viser draws them."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -55,16 +60,60 @@ class Shown:
     """A page that is open in the browser, and what it should show."""
 
     browser: Browser
+    folder: Path
     contents: Contents
     gaussians: Gaussians
 
-    def open(self, address: str) -> "Shown":
+    def open(self, address: str, *, size: tuple[int, int] = (900, 560)) -> "Shown":
         self.browser.get("about:blank")
         self.browser.errors()
         self.browser.requests()
-        self.browser.set_window_size(700, 480)
+        self.browser.set_window_size(*size)
         self.browser.get(address)
         return self
+
+    def ready(self) -> "Shown":
+        """Wait for the panel and the picture."""
+        self.until(lambda browser: browser.execute_script("return Boolean(globalThis.view)"))
+        self.becomes(floor_is_shown)
+        return self
+
+    def input(self, name: str) -> WebElement:
+        return self.browser.find_element(By.ID, name)
+
+    def select(self, name: str, option: str) -> Select:
+        choice = Select(self.input(name))
+        choice.select_by_visible_text(option)
+        return choice
+
+    def canvas(self) -> WebElement:
+        return self.browser.find_element(By.CSS_SELECTOR, "canvas[data-engine]")
+
+    def message(self) -> str:
+        return self.input("message").text
+
+    def count(self) -> int:
+        """Gaussians that are drawn."""
+        return self.browser.execute_script("return view.motion.shown")
+
+    def drag(self, start: int, end: int, *, shift: bool = False) -> None:
+        """Drag across the middle of the canvas, pixels from the middle."""
+        actions = ActionChains(self.browser)
+        if shift:
+            actions.key_down(Keys.SHIFT)
+        actions.move_to_element_with_offset(self.canvas(), start, start).click_and_hold()
+        actions.move_by_offset(end, end).move_by_offset(-start, -start).release()
+        if shift:
+            actions.key_up(Keys.SHIFT)
+        actions.perform()
+
+    def export(self, file: Path | None = None) -> None:
+        """Export a part; a page that is opened from a file has to be given the scene."""
+        if self.browser.execute_script("return location.protocol") == "file:":
+            self.browser.execute_script("view.input('file').value = ''")  # as the button does
+            self.input("file").send_keys(str(file or self.folder / "tamper.ply"))
+        else:
+            self.input("export").click()
 
     def picture(self) -> np.ndarray:
         """The canvas, (H, W, 3) in [0, 1]; black as long as there is none."""
@@ -82,13 +131,17 @@ class Shown:
 
     def shows_camera(self, index: int) -> None:
         """Wait until the picture is that of a camera, and of no other."""
-        references = [self._rendered(pose) for pose in self.contents.poses]
 
         def is_closest(picture: np.ndarray) -> bool:
-            errors = [float(abs(picture - reference).mean()) for reference in references]
+            errors = self.errors(picture)
             return errors[index] == min(errors) < MAX_ERROR
 
         self.becomes(is_closest)
+
+    def errors(self, picture: np.ndarray) -> list[float]:
+        """Mean differences between a picture and a render from each camera."""
+        renders = (self._rendered(pose) for pose in self.contents.poses)
+        return [float(abs(picture - render).mean()) for render in renders]
 
     def _rendered(self, pose: Pose) -> np.ndarray:
         """A render of gsc_jax from a camera, at the size of the canvas."""
@@ -135,137 +188,223 @@ def shown(tmp_path_factory: pytest.TempPathFactory, browser: Browser) -> Shown:
     write_results(folder)
     found = read_results(folder)
     contents, _ = viewer_contents(found, most=10**6)
-    return Shown(browser=browser, contents=contents, gaussians=found.scene.gaussians)
+    gaussians = found.scene.gaussians
+    return Shown(browser=browser, folder=folder, contents=contents, gaussians=gaussians)
 
 
-class TestWrittenPage:
-    @pytest.fixture
-    def page(self, shown, tmp_path) -> Iterator[Shown]:
-        """The page, inside its frame."""
-        write_page(tmp_path / "page.html", shown.contents)
-        self.enter_frame(shown.open((tmp_path / "page.html").as_uri()))
-        yield shown
-        shown.check_console()
-        shown.browser.switch_to.default_content()
-
-    def enter_frame(self, page: Shown) -> None:
-        page.until(frame_to_be_available_and_switch_to_it((By.TAG_NAME, "iframe")))
-        page.becomes(floor_is_shown)
-
-    def toggle(self, page: Shown, node: str) -> None:
-        """Click the eye of a node in viser's scene tree."""
-        place = f"//*[normalize-space(text())='{node}']/preceding::*[name()='svg'][1]"
-        page.browser.find_element(By.XPATH, place).click()
-
-    def test_a_browser_without_webgl_is_told_so(self, shown, tmp_path):
-        write_page(tmp_path / "page.html", shown.contents)
-        source = {"source": "HTMLCanvasElement.prototype.getContext = () => null"}
-        run_before = "Page.addScriptToEvaluateOnNewDocument"
-        script = shown.browser.execute_cdp_cmd(run_before, source)
-        try:
-            shown.open((tmp_path / "page.html").as_uri())
-            assert "no WebGL 2" in shown.browser.find_element(By.TAG_NAME, "header").text
-        finally:
-            shown.browser.execute_cdp_cmd(run_before.replace("add", "remove"), script)
-
-    def test_without_a_graphics_card_few_gaussians_come_first(self, shown, tmp_path, monkeypatch):
-        monkeypatch.setattr("gsc_jax.cli.viewer.server.WITHOUT_GPU", (300, 900))
-        write_page(tmp_path / "page.html", shown.contents)
-        shown.open((tmp_path / "page.html").as_uri())
-        header, count = (shown.browser.find_element(By.TAG_NAME, "header"), "300 Gaussians")
-        assert f"only {count}" in header.text
-        frame = frame_to_be_available_and_switch_to_it((By.TAG_NAME, "iframe"))
-        shown.until(frame)
-        shown.becomes(lambda picture: red(picture) > 0.001 and blue(picture) < 0.6)
-        few = shown.picture()
-        shown.browser.switch_to.default_content()
-        choice = Select(shown.browser.find_element(By.ID, "count"))
-        assert choice.first_selected_option.text == count
-        assert len(choice.options) == 3
-        choice.select_by_index(2)
-        shown.until(frame)
-        shown.becomes(lambda picture: blue(picture) > blue(few) + 0.01)
-        shown.browser.switch_to.default_content()
-
-    def test_layers_are_shown_and_hidden(self, page):
-        assert red(page.picture()) > 0.005
-        page.browser.find_element(By.CSS_SELECTOR, "[aria-label='Show scene tree']").click()
-        self.toggle(page, "authentic")
-        page.becomes(only_ball_is_shown)
-        self.toggle(page, "tampered")
-        page.becomes(lambda picture: red(picture) < 0.001)
-        self.toggle(page, "heat map")
-        page.becomes(lambda picture: np.mean(picture.max(axis=-1) > 0.2) > 0.05)
-        assert red(page.picture()) < 0.001
-
-    def test_cameras_are_selected(self, page):
-        for button, index in (("next", 1), ("previous", 0), ("previous", 2)):
-            page.browser.switch_to.default_content()
-            page.browser.find_element(By.ID, button).click()
-            self.enter_frame(page)
-            page.shows_camera(index)
+def shows_something(picture: np.ndarray) -> bool:
+    return bool(np.mean(picture.max(axis=-1) > 0.2) > 0.05)
 
 
-class TestServedPage:
-    @pytest.fixture(scope="class")
-    @staticmethod
-    def server(shown) -> Iterator["viser.ViserServer"]:
-        with serving(Access(host="localhost", token="token"), port=0) as server:
-            add_viewer(server, shown.contents)
-            yield server
+@pytest.fixture(scope="module")
+def written(shown, tmp_path_factory) -> str:
+    path = tmp_path_factory.mktemp("written") / "page.html"
+    write_page(path, viewer_page(shown.contents))
+    return path.as_uri()
 
-    @pytest.fixture
-    def page(self, server, shown) -> Iterator[Shown]:
-        shown.open(f"http://localhost:{server.get_port()}/token/").becomes(floor_is_shown)
-        yield shown
-        shown.check_console()
 
-    def entry(self, page: Shown, label: str) -> WebElement:
-        """The input that belongs to a label of viser's panel."""
-        place = f"//label[normalize-space()='{label}']/following::input[1]"
-        return page.browser.find_element(By.XPATH, place)
+@pytest.fixture(scope="module")
+def served(shown) -> Iterator[str]:
+    page, scene = viewer_page(shown.contents), shown.folder / "tamper.ply"
+    with serving(page, scene, token="token", host="localhost", port=0) as port:
+        yield f"http://localhost:{port}/token/"
 
-    def select_layer(self, page: Shown, layer: str) -> None:
-        self.entry(page, "show").click()
-        place = f"//*[@role='option'][normalize-space()='{layer}']"
-        page.until(lambda browser: browser.find_element(By.XPATH, place)).click()
 
-    def wait_for_camera(self, page: Shown, name: str) -> None:
-        page.until(lambda _: self.entry(page, "camera").get_attribute("value") == name)
+@pytest.fixture(params=["written", "served"])
+def page(shown, request) -> Iterator[Shown]:
+    yield shown.open(request.getfixturevalue(request.param)).ready()
+    shown.check_console()
 
-    def test_picture_follows_layer_and_threshold(self, page):
-        text = page.browser.find_element(By.TAG_NAME, "body").text
-        assert page.contents.sentences[0] in text
-        self.select_layer(page, "tampered only")
-        page.becomes(only_ball_is_shown)
-        slider = page.browser.find_element(By.CSS_SELECTOR, "[role=slider]")
-        slider.send_keys(Keys.HOME)
-        page.becomes(floor_is_shown)
-        slider.send_keys(Keys.END)
-        page.becomes(lambda picture: red(picture) == 0)
-        self.select_layer(page, "original")
-        page.becomes(floor_is_shown)
 
-    def test_cameras_are_selected_by_buttons(self, page):
-        poses = page.contents.poses
-        for index, button in ((1, "next"), (0, "previous")):
-            place = f"//button[normalize-space()='{button}']"
-            page.browser.find_element(By.XPATH, place).click()
-            self.wait_for_camera(page, poses[index].name)
-            page.shows_camera(index)
+def test_a_browser_without_webgl_is_told_so(shown, written):
+    source = {"source": "HTMLCanvasElement.prototype.getContext = () => null"}
+    run_before = "Page.addScriptToEvaluateOnNewDocument"
+    script = shown.browser.execute_cdp_cmd(run_before, source)
+    try:
+        shown.open(written)
+        assert "no WebGL 2" in shown.browser.find_element(By.TAG_NAME, "body").text
+    finally:
+        shown.browser.execute_cdp_cmd(run_before.replace("add", "remove"), script)
 
-    def test_a_click_describes_and_a_box_selects(self, page):
-        self.select_layer(page, "original")
-        page.becomes(floor_is_shown)
-        canvas = page.browser.find_element(By.CSS_SELECTOR, "canvas[data-engine]")
-        actions = ActionChains(page.browser)
-        actions.move_to_element(canvas).click().perform()
-        page.until(lambda browser: "position" in browser.find_element(By.TAG_NAME, "body").text)
-        actions = ActionChains(page.browser)
-        actions.key_down(Keys.SHIFT).move_to_element_with_offset(canvas, -60, -60).click_and_hold()
-        actions.move_by_offset(60, 60).move_by_offset(60, 60).release().key_up(Keys.SHIFT).perform()
-        page.until(lambda browser: "are selected" in browser.find_element(By.TAG_NAME, "body").text)
+
+def test_without_a_graphics_card_few_gaussians_are_drawn_in_motion(shown, tmp_path, monkeypatch):
+    monkeypatch.setattr("gsc_jax.cli.viewer.page.WITHOUT_GPU", (300, 900))
+    write_page(tmp_path / "page.html", viewer_page(shown.contents))
+    shown.open((tmp_path / "page.html").as_uri()).ready()
+    total = len(shown.contents.rows)
+    shown.until(lambda _: shown.count() == total)
+    canvas = shown.canvas()
+    ActionChains(shown.browser).move_to_element(canvas).click_and_hold().move_by_offset(
+        30, 0
+    ).perform()
+    assert shown.count() == 300
+    few = blue(shown.picture())
+    ActionChains(shown.browser).release().perform()
+    shown.until(lambda _: shown.count() == total)
+    shown.becomes(lambda picture: blue(picture) > few + 0.01)
+    assert len(shown.select("count", "900 Gaussians").options) == 3
+    shown.until(lambda _: shown.count() == 900)
+
+
+def test_on_a_phone_the_panel_is_closed_at_first(shown, written):
+    shown.open(written, size=(390, 800)).ready()
+    assert not shown.input("layer").is_displayed()
+    shown.browser.find_element(By.CSS_SELECTOR, "#panel summary").click()
+    assert shown.input("layer").is_displayed()
+
+
+def test_picture_follows_layer_and_threshold(page):
+    assert red(page.picture()) > 0.005
+    assert page.contents.sentences[0] in page.browser.find_element(By.ID, "panel").text
+    page.select("layer", "tampered only")
+    page.becomes(only_ball_is_shown)
+    page.input("threshold").send_keys(Keys.HOME)
+    page.becomes(floor_is_shown)
+    page.input("threshold").send_keys(Keys.END)
+    page.becomes(lambda picture: red(picture) == 0)
+    total = f"{len(page.contents.rows):,}"
+    assert f"0 of {total} Gaussians" in page.input("above").text
+    page.select("layer", "authentic only")
+    page.becomes(lambda picture: red(picture) > 0.005 and blue(picture) > 0.05)
+    page.select("layer", "heat map")
+    page.becomes(lambda picture: shows_something(picture) and red(picture) < 0.001)
+    page.select("layer", "original")
+    page.becomes(floor_is_shown)
+
+
+def test_cameras_are_selected_and_the_layer_stays(page):
+    for button, index in (("next", 1), ("previous", 0), ("previous", 2)):
+        page.input(button).click()
+        page.shows_camera(index)
+    page.select("layer", "tampered only")
+    page.becomes(only_ball_is_shown)
+    before = page.picture()
+    page.select("camera", page.contents.poses[1].name)
+    page.becomes(lambda picture: only_ball_is_shown(picture) and abs(picture - before).max() > 0.2)
+    page.select("layer", "result")
+    page.shows_camera(1)
+
+
+def test_splats_are_drawn_in_the_order_of_their_depth(page):
+    page.input("next").click()
+    page.shows_camera(1)
+    order = page.browser.execute_script(ORDER)
+    pose = page.contents.poses[1]
+    viewmat = look_at(pose.position, pose.look_at, pose.up)
+    depths = (page.contents.splats.centers @ viewmat[:3, :3].T + viewmat[:3, 3])[order, 2]
+    assert sorted(order) == list(range(len(order)))
+    assert (np.diff(depths) < 1e-3 * np.ptp(depths)).all()
+
+
+def test_places_and_hits_are_those_of_the_renderer(page):
+    """The pixel of each splat, and the splat of largest blending weight at some pixels."""
+    canvas, pose, splats = page.canvas().size, page.contents.poses[0], page.contents.splats
+    page.shows_camera(0)
+    height, width = canvas["height"], canvas["width"]
+    viewmat = look_at(pose.position, pose.look_at, pose.up)
+    K = intrinsics(height / 2 / np.tan(pose.fov / 2), width, height)
+    pixels, depths = project_centers(splats.centers, viewmat, K)
+    places = page.browser.execute_script(
+        "return Array.from(placesOf(view.original, __viserMutable, view.matrix()))"
+    )
+    np.testing.assert_allclose(np.reshape(places, (-1, 2)), pixels, atol=0.5)
+    script = "return splatAt(view.painted, __viserMutable, view.matrix(), arguments[0])"
+    for x, y in np.random.default_rng(0).uniform(0.2, 0.8, (20, 2)) * [width, height]:
+        found = page.browser.execute_script(script, [x, y])
+        ray = viewmat[:3, :3].T @ [(x - width / 2) / K[0, 0], (y - height / 2) / K[1, 1], 1]
+        weights = blending_weights(splats, np.asarray(depths), pose.position, ray)
+        if found is None:
+            assert weights.max() < 0.02
+        else:
+            assert weights[found] > weights.max() - 0.02
+
+
+def blending_weights(splats, depths, origin, ray) -> np.ndarray:
+    """Weights (N,) of the splats along a ray, exactly, in the order of their depths."""
+    ray = ray / np.linalg.norm(ray)
+    precision = np.linalg.inv(splats.covariances.astype(np.float64))
+    offset = splats.centers - origin
+    along, cross = precision @ ray, np.einsum("nij,ni->nj", precision, offset)
+    squared = np.einsum("nj,nj->n", cross, offset) - (cross @ ray) ** 2 / (along @ ray)
+    alpha = splats.opacities[:, 0] * np.exp(-squared / 2) * (depths > 0)
+    order, weights = np.argsort(depths), np.empty(len(alpha))
+    weights[order] = alpha[order] * np.cumprod(np.append(1, 1 - alpha[order]))[:-1]
+    return weights
+
+
+def test_a_click_shows_the_values_in_the_file(page):
+    page.canvas().click()
+    page.until(lambda _: "position" in page.message())
+    found = dict(line.split(" ", 1) for line in page.message().splitlines()[1:])
+    vertex = read_ply(page.folder / "tamper.ply").ply["vertex"]
+    row = int(found["row"].replace(",", ""))
+    assert found["score"] == f"{vertex['tamper'][row]:.3f}"
+    for name, expected in (
+        ("position", [vertex[axis][row] for axis in "xyz"]),
+        ("scales", [np.exp(vertex[f"scale_{axis}"][row]) for axis in range(3)]),
+    ):
+        np.testing.assert_allclose([float(x) for x in found[name].split(",")], expected, rtol=6e-3)
+
+
+def test_boxes_and_the_brush_select_until_it_is_cleared(page):
+    page.select("layer", "original")
+    for kind, held in (("turns the scene", True), ("selects a box (Shift)", False)):
+        page.select("drag", kind)
+        page.drag(-60, 60, shift=held)
         page.becomes(lambda picture: yellow(picture) > 0.01)
-        clear = page.browser.find_element(By.XPATH, "//button[.='clear selection']")
-        page.browser.execute_script("arguments[0].click()", clear)  # it may be scrolled away
+        assert "Gaussians are selected" in page.message()
+        page.input("clear").click()
         page.becomes(lambda picture: yellow(picture) < 0.001)
+        assert page.message() == "0 Gaussians are selected."
+    page.select("drag", "selects with a brush")
+    before = page.picture()
+    page.drag(-60, 60)
+    page.until(lambda _: "Gaussians are selected" in page.message())
+    count = int(page.message().split()[0].replace(",", ""))
+    assert 0 < count < len(page.contents.rows) / 4, "fewer than in a box"
+    page.becomes(lambda picture: float(abs(picture - before).max()) > 0.2)
+    page.input("clear").click()
+    page.shows_camera(0)  # which no drag has turned
+
+
+def test_exports_are_rows_of_the_file_with_all_properties(page, tmp_path):
+    downloads = {"behavior": "allow", "downloadPath": str(tmp_path)}
+    page.browser.execute_cdp_cmd("Browser.setDownloadBehavior", downloads)
+    whole = read_ply(page.folder / "tamper.ply").ply["vertex"].data
+    labelled = np.load(page.folder / "labels.npy")
+    page.select("drag", "selects a box (Shift)")
+    page.drag(-60, 60)
+    chosen = np.array(page.browser.execute_script("return Array.from(view.selected)"), bool)
+    selected = np.isin(np.arange(len(whole)), page.contents.rows[chosen])
+    assert 0 < selected.sum() < len(whole) - 100
+    for part, expected in (
+        ("only labelled", labelled),
+        ("all but labelled", ~labelled),
+        ("only selected", selected),
+        ("all but selected", ~selected),
+    ):
+        page.select("part", part)
+        page.export()
+        path = tmp_path / f"found {part}.ply".replace(" ", "_")
+        page.until(lambda _: path.exists())  # noqa: B023
+        written = read_ply(path).ply["vertex"].data
+        assert written.dtype == whole.dtype
+        assert written.tobytes() == whole[expected].tobytes()
+    page.input("clear").click()
+    page.select("part", "only selected")
+    page.export()
+    page.until(lambda _: "No Gaussian was chosen" in page.message())
+
+
+def test_other_files_are_refused(shown, written, tmp_path):
+    shown.open(written).ready()
+    other, text = tmp_path / "other.ply", tmp_path / "text.ply"
+    scene = read_ply(shown.folder / "tamper.ply")
+    save_tampered(other, scene, np.full(len(scene.rows), 0.5, np.float32))
+    text.write_text("ply\nformat ascii 1.0\nend_header\n")
+    for file, expected in (
+        (other, "not tamper.ply of these results"),
+        (text, "Expected tamper.ply"),
+    ):
+        shown.export(file)
+        shown.until(lambda _: expected in shown.message())  # noqa: B023

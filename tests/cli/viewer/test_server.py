@@ -45,7 +45,7 @@ class TestRunView:
 
         def interrupted():
             with urllib.request.urlopen(lines[0].split()[1]) as answer:
-                assert b"Viser client" in answer.read()
+                assert b"<title>found" in answer.read()
             raise KeyboardInterrupt
 
         ending = run_view(view(folder), say=lines.append, wait=interrupted)

@@ -1,4 +1,4 @@
-"""Splats, the colours of layers, and cameras as poses."""
+"""Splats, their order, and cameras as poses."""
 
 import dataclasses
 
@@ -9,13 +9,11 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from strategies import blobs, camera, motions, random_scene, scenes
 
-from gsc_jax.cli.pictures import TINT
 from gsc_jax.cli.viewer.contents import pose
 from gsc_jax.cli.viewer.splats import (
+    by_importance,
     fit_half_precision,
     half_precision_unit,
-    largest,
-    layer_colours,
     splats,
 )
 
@@ -50,50 +48,37 @@ class TestSplats:
         np.testing.assert_allclose(fitted / fitted.max(), huge / huge.max(), rtol=1e-6)
         assert half_precision_unit(splats(blobs([[0, 0, 1]], scale=1e-30))) == 1
 
-    @given(st.integers(1, 30))
-    def test_largest_have_the_highest_opacity_times_area(self, count):
+    def test_the_most_important_have_the_largest_opacity_times_area(self):
         scene = random_scene(20)
-        axes = np.sort(np.asarray(scene.scales), axis=1)
-        sizes = np.asarray(scene.opacities) * axes[:, 1] * axes[:, 2]
-        expected = np.sort(np.argsort(-sizes)[:count])
         none = np.zeros(20, bool)
-        np.testing.assert_array_equal(largest(scene, count, labelled=none), expected)
+        order = by_importance(scene, labelled=none)
+        np.testing.assert_array_equal(order, np.argsort(-sizes(scene)))
+        np.testing.assert_array_equal(order, by_importance(scene, labelled=~none))
 
     @given(st.integers(1, 20))
     def test_half_are_the_largest_labelled_ones_and_the_rest_the_largest_others(self, count):
         scene = random_scene(20)
         labelled = np.arange(20) % 4 == 0
-        axes = np.sort(np.asarray(scene.scales), axis=1)
-        order = np.argsort(-np.asarray(scene.opacities) * axes[:, 1] * axes[:, 2])
+        order = np.argsort(-sizes(scene))
         first = [row for row in order if labelled[row]][: count // 2]
-        rest = [row for row in order if row not in first][: count - len(first)]
-        rows = largest(scene, count, labelled=labelled)
-        np.testing.assert_array_equal(rows, sorted([*first, *rest]))
+        rest = [row for row in order if not labelled[row]]
+        rest = (rest + [row for row in order if labelled[row]][len(first) :])[: count - len(first)]
+        rows = by_importance(scene, labelled=labelled)
+        assert sorted(rows[:count]) == sorted([*first, *rest])
+        assert sorted(rows) == list(range(20))
+
+    def test_what_cannot_be_seen_comes_last_even_if_labelled(self):
+        scene = blobs(np.eye(4, 3))
+        opacities = np.where([True, False, False, True], -200, 1).astype(np.float32)
+        scene = dataclasses.replace(scene, logit_opacities=opacities)
+        rows = by_importance(scene, labelled=np.array([True, True, False, False]))
+        assert rows.tolist() == [2, 1, 0, 3]
 
 
-class TestLayerColours:
-    SCORE = np.array([0, 0.3, 0.5, 0.7, 1], np.float32)
-    SPLATS = splats(blobs(np.eye(5, 3)))
-
-    @given(st.sampled_from([0.0, 0.3, 0.5, 0.9, 1.0]))
-    def test_tampered_and_authentic_partition_the_scene(self, threshold):
-        _, tampered = layer_colours(self.SPLATS, self.SCORE, "tampered only", threshold, tint=TINT)
-        _, authentic = layer_colours(
-            self.SPLATS, self.SCORE, "authentic only", threshold, tint=TINT
-        )
-        np.testing.assert_array_equal(tampered + authentic, self.SPLATS.opacities)
-        np.testing.assert_array_equal(tampered[:, 0] > 0, np.float32(threshold) < self.SCORE)
-
-    def test_heat_map_is_lighter_for_higher_scores(self):
-        assert layer_colours(self.SPLATS, self.SCORE, "original", 0.5, tint=TINT)[0] is (
-            self.SPLATS.rgbs
-        )
-        rgbs, _ = layer_colours(self.SPLATS, self.SCORE, "result", 0.5, tint=TINT)
-        marked = np.any(rgbs != self.SPLATS.rgbs, axis=1)
-        np.testing.assert_array_equal(marked, self.SCORE > 0.5)
-        rgbs, opacities = layer_colours(self.SPLATS, self.SCORE, "heat map", 0.5, tint=TINT)
-        assert (np.diff(rgbs @ [0.299, 0.587, 0.114]) > 0.03).all()
-        np.testing.assert_array_equal(opacities, self.SPLATS.opacities)
+def sizes(scene) -> np.ndarray:
+    """Opacity times area of the two largest axes, (N,)."""
+    axes = np.sort(np.asarray(scene.scales), axis=1)
+    return np.asarray(scene.opacities) * axes[:, 1] * axes[:, 2]
 
 
 class TestPoses:

@@ -1,0 +1,87 @@
+"""The page of the 3D view: viser's client with the splats inside, and our panel (viewer.js)."""
+
+import base64
+import warnings
+from importlib.resources import files
+
+import numpy as np
+
+from gsc_jax.cli.pictures import TINT_STRENGTH
+from gsc_jax.cli.viewer.contents import Contents
+from gsc_jax.cli.viewer.splats import add_splats, half_precision_unit, heat
+from gsc_jax.io.ply import LUMA
+
+WITHOUT_GPU = 10_000, 40_000
+"""Gaussians that a browser without a graphics card draws in motion, and may draw at rest."""
+GREY_SHARE = 0.35
+"""Share of the grey scene in the heat map, so that objects can be recognised in it."""
+
+
+def viewer_page(contents: Contents) -> str:
+    """A page that needs neither server nor network. It needs the extra `viewer`."""
+    from jinja2 import Environment
+
+    total, folder = len(contents.score), files("gsc_jax.cli.viewer")
+    template, *scripts = (
+        folder.joinpath(name).read_text(encoding="utf-8")
+        for name in ("viewer.html", "ply.js", "picking.js", "motion.js", "viewer.js")
+    )
+    unit = half_precision_unit(contents.splats)
+    return (
+        Environment(autoescape=True)
+        .from_string(template)
+        .render(
+            contents=contents,
+            counts=[*(count for count in WITHOUT_GPU if count < total), total],
+            gradient=", ".join(f"rgb{tuple(colour)}" for colour in _heat(9)),
+            data={"facts": _facts(contents, unit), "client": _client(contents, unit)},
+            script="\n".join(scripts),
+        )
+    )
+
+
+def _facts(contents: Contents, unit: float) -> dict:
+    """What viewer.js knows of the scene beside what viser's client holds."""
+    poses = [
+        {key: np.ravel(value).tolist() for key, value in vars(pose).items() if key != "name"}
+        for pose in contents.poses
+    ]
+    rows = contents.rows.astype("<u4")
+    return {
+        "title": contents.title,
+        "total": contents.total,
+        "unit": unit,
+        "poses": poses,
+        "tint": np.rint(255 * contents.tint).tolist(),
+        "tint_strength": TINT_STRENGTH,
+        "grey_share": GREY_SHARE,
+        "luma": np.asarray(LUMA, float).tolist(),
+        "heat": _heat(256),
+        "arrays": [
+            base64.b64encode(np.ascontiguousarray(values)).decode()
+            for values in (contents.score, rows, contents.splats.scales)
+        ],
+    }
+
+
+def _heat(count: int) -> list[list[int]]:
+    """Colours of the heat map from score 0 to 1, 0 to 255."""
+    return np.rint(255 * heat(np.linspace(0, 1, count))).astype(int).tolist()
+
+
+def _client(contents: Contents, unit: float) -> str:
+    """The page of viser's client, with the splats inside, at the first camera."""
+    import rich
+    import viser
+
+    rich.reconfigure(quiet=True)  # viser prints its status with rich
+    server = viser.ViserServer(host="127.0.0.1", port=0, label="gsc-jax", verbose=False)
+    server.stop()  # before it has content: other programs could read it
+    first, start = server.initial_camera, contents.poses[0]
+    with warnings.catch_warnings(action="ignore", category=UserWarning):  # that nobody listens
+        add_splats(server, "/gaussians", contents.splats, unit)
+        server.scene.set_up_direction(contents.up)
+        server.scene.world_axes.visible = False
+        first.position, first.look_at, first.up = start.position, start.look_at, start.up
+        first.fov, first.near, first.far = start.fov, contents.near, contents.far
+        return server.scene.as_html(dark_mode=True)

@@ -1,0 +1,239 @@
+"use strict";
+// The page is replaced by viser's client, which draws the splats, and by a panel. The panel reaches
+// the client by the objects that viser offers to its own tests: `__viserMutable` (camera, nodes of
+// the scene, queue of messages), `__viserSceneTree` and `__viserTestpoints`.
+
+const NODE = "/gaussians", SELECTED = [255, 242, 51], BRUSH = 20; // pixels
+const json = (id) => JSON.parse(document.getElementById(id).textContent);
+const decoded = async (text) => (await fetch(`data:application/octet-stream;base64,${text}`)).arrayBuffer();
+const number = (value) => Number(value.toPrecision(3)).toString();
+
+function withoutGraphicsCard() {
+  const gl = document.createElement("canvas").getContext("webgl2");
+  if (!gl) return null;
+  const name = gl.getExtension("WEBGL_debug_renderer_info")?.UNMASKED_RENDERER_WEBGL ?? gl.RENDERER;
+  return /swiftshader|llvmpipe|software|basic render/i.test(gl.getParameter(name));
+}
+
+async function becomeClient() {
+  const software = withoutGraphicsCard();
+  if (software === null) {
+    document.body.append("This browser has no WebGL 2, so the scene cannot be shown; open report.html instead.");
+    return;
+  }
+  const facts = json("facts"), client = json("client"), panel = document.getElementById("panel").content;
+  const [scores, rows, scales] = await Promise.all(facts.arrays.map(decoded));
+  const arrays = { scores: new Float32Array(scores), rows: new Uint32Array(rows), scales: new Float32Array(scales) };
+  // In a page that is opened from a file, browsers refuse module workers from blobs. If a script has
+  // no address as a blob, the client puts it into the address.
+  const { createObjectURL } = URL;
+  URL.createObjectURL = (blob) => (blob.type.includes("javascript") ? "" : createObjectURL.call(URL, blob));
+  document.open();
+  document.write(client);
+  document.close();
+  while (!(window.__viserMutable?.cameraControl && __viserMutable.nodeRefFromName[NODE]?.children.length))
+    await new Promise((resolve) => setTimeout(resolve, 50));
+  document.body.append(panel);
+  globalThis.view = new Panel({ ...facts, ...arrays }, software);
+}
+
+class Panel {
+  constructor(facts, software) {
+    Object.assign(this, facts);
+    this.message = __viserSceneTree.getState()[NODE].message;
+    this.original = this.message.props.buffer;
+    this.count = this.rows.length;
+    this.selected = new Uint8Array(this.count);
+    this.drawn = this.count;
+    this.input("layer").addEventListener("change", () => this.paint());
+    this.input("threshold").addEventListener("input", () => this.paint());
+    this.input("camera").addEventListener("change", () => this.jump(0));
+    this.input("previous").addEventListener("click", () => this.jump(-1));
+    this.input("next").addEventListener("click", () => this.jump(1));
+    this.input("clear").addEventListener("click", () => { this.selected.fill(0); this.tell(); });
+    this.input("export").addEventListener("click", () => this.export());
+    this.input("file").addEventListener("change", (event) => this.write(event.target.files[0]));
+    document.getElementById("panel").open = innerWidth > 600;
+    addEventListener("pointerdown", (event) => this.press(event), true);
+    if (software && this.input("count").options.length > 1) {
+      this.input("counts").hidden = false;
+      this.motion = new Motion(this, Number(this.input("count").options[0].value));
+    }
+    this.paint();
+  }
+
+  input(id) { return document.getElementById(id); }
+
+  say(text) { this.input("message").textContent = text; }
+
+  send(...messages) {
+    __viserMutable.messageQueue.push(...messages);
+    __viserMutable.requestRender();
+  }
+
+  // ---- colours
+
+  labelled(i) { return this.scores[i] > this.input("threshold").valueAsNumber; }
+
+  hidden(i) {
+    const layer = this.input("layer").value;
+    return (layer === "tampered only" && !this.labelled(i)) || (layer === "authentic only" && this.labelled(i));
+  }
+
+  rgba(i) {
+    const layer = this.input("layer").value, word = this.original[WORDS * i + COLOUR];
+    let rgb = [word & 255, (word >> 8) & 255, (word >> 16) & 255];
+    const mixed = (other, share) => rgb.map((value, k) => (1 - share) * value + share * other[k]);
+    if (this.selected[i]) rgb = SELECTED;
+    else if (layer === "result" && this.labelled(i)) rgb = mixed(this.tint, this.tint_strength);
+    else if (layer === "heat map") {
+      rgb = Array(3).fill(rgb.reduce((sum, value, k) => sum + this.luma[k] * value, 0));
+      rgb = mixed(this.heat[Math.round(255 * this.scores[i])], 1 - this.grey_share);
+    }
+    const alpha = this.hidden(i) ? 0 : word >>> 24;
+    return rgb[0] | (rgb[1] << 8) | (rgb[2] << 16) | (alpha << 24);
+  }
+
+  paint() {
+    this.painted = this.original.slice();
+    for (let i = 0; i < this.count; i++) this.painted[WORDS * i + COLOUR] = this.rgba(i);
+    if (this.motion) this.motion.wake(true); else this.draw(this.count);
+    const threshold = this.input("threshold").value, above = this.scores.filter((score) => score > threshold).length;
+    this.input("value").textContent = threshold;
+    this.input("above").textContent = `${above.toLocaleString("en")} of ${this.count.toLocaleString("en")} Gaussians (${number((100 * above) / this.count)} %) score above it.`;
+  }
+
+  draw(count) {
+    this.drawn = count;
+    const buffer = this.painted.slice(0, WORDS * count);
+    this.send({ type: "SceneNodeUpdateMessage", name: NODE, owner: this.message.owner, updates: { buffer } });
+  }
+
+  // ---- cameras
+
+  jump(step) {
+    const camera = this.input("camera"), cameras = camera.options.length;
+    camera.selectedIndex = (camera.selectedIndex + step + cameras) % cameras;
+    const pose = this.poses[camera.selectedIndex], initial = false;
+    this.motion?.wake();
+    this.send(
+      { type: "SetCameraUpDirectionMessage", position: pose.up, initial },
+      { type: "SetCameraPositionMessage", position: pose.position, initial },
+      { type: "SetCameraLookAtMessage", look_at: pose.look_at, initial },
+      { type: "SetCameraFovMessage", fov: pose.fov, initial });
+  }
+
+  /** Splats that are drawn at rest. */
+  wanted() { return this.motion ? Number(this.input("count").value) : this.count; }
+
+  // ---- selection
+
+  /** From units of viser's buffer to those of three.js. */
+  matrix() {
+    const { matrixWorld } = __viserMutable.nodeRefFromName[NODE];
+    return matrixWorld.clone().scale(__viserMutable.camera.position.clone().setScalar(this.unit));
+  }
+
+  press(event) {
+    const { canvas } = __viserMutable, drag = event.shiftKey ? "box" : this.input("drag").value;
+    if (event.target !== canvas) return;
+    const box = canvas.getBoundingClientRect(), point = (e) => [e.clientX - box.left, e.clientY - box.top];
+    const start = point(event);
+    if (drag === "turn") {
+      addEventListener("pointerup", (e) => {
+        if (Math.hypot(point(e)[0] - start[0], point(e)[1] - start[1]) < 3) this.describe(start);
+      }, { once: true });
+      return;
+    }
+    event.stopImmediatePropagation(); // the camera stays
+    event.preventDefault();
+    const places = placesOf(this.original, __viserMutable, this.matrix()), marker = this.input("drawn");
+    const move = (e) => {
+      const end = point(e), brush = drag === "brush";
+      const [from, to] = brush ? [end.map((x) => x - BRUSH), end.map((x) => x + BRUSH)]
+        : [end.map((x, k) => Math.min(x, start[k])), end.map((x, k) => Math.max(x, start[k]))];
+      marker.hidden = false;
+      marker.style = `left: ${from[0] + box.left}px; top: ${from[1] + box.top}px; width: ${to[0] - from[0]}px; height: ${to[1] - from[1]}px; border-radius: ${brush ? "50%" : 0}`;
+      if (!brush && e.type === "pointermove") return;
+      for (let i = 0; i < this.count; i++) {
+        const x = places[2 * i], y = places[2 * i + 1];
+        const inside = brush ? Math.hypot(x - end[0], y - end[1]) < BRUSH
+          : x >= from[0] && x <= to[0] && y >= from[1] && y <= to[1];
+        if (inside && opacity(this.painted, i)) this.selected[i] = 1;
+      }
+    };
+    const release = (e) => {
+      move(e);
+      marker.hidden = true;
+      removeEventListener("pointermove", move, true);
+      this.tell();
+    };
+    addEventListener("pointermove", move, true);
+    addEventListener("pointerup", release, { once: true, capture: true });
+  }
+
+  tell() {
+    this.paint();
+    this.say(`${this.selected.reduce((sum, value) => sum + value, 0).toLocaleString("en")} Gaussians are selected.`);
+  }
+
+  // ---- values of a Gaussian
+
+  describe(place) {
+    const i = splatAt(this.painted, __viserMutable, this.matrix(), place);
+    if (i === null) { this.say("No Gaussian is there."); return; }
+    const word = this.original[WORDS * i + COLOUR], list = (values) => Array.from(values, number).join(", ");
+    const facts = { row: this.rows[i].toLocaleString("en"), score: this.scores[i].toFixed(3),
+      position: list(center(this.original, i).map((x) => x * this.unit)), scales: list(this.scales.subarray(3 * i, 3 * i + 3)),
+      opacity: number(opacity(this.original, i)), colour: list([word & 255, (word >> 8) & 255, (word >> 16) & 255].map((x) => x / 255)) };
+    const table = document.createElement("table");
+    for (const [name, value] of Object.entries(facts)) {
+      const line = table.insertRow();
+      line.append(document.createElement("th"));
+      line.firstChild.textContent = name;
+      line.insertCell().textContent = value;
+    }
+    this.input("message").replaceChildren("The Gaussian that is seen there:", table);
+  }
+
+  // ---- export
+
+  async export() {
+    if (location.protocol === "file:") { // a page that is opened from a file may read no other
+      this.say("Choose tamper.ply in the folder of these results.");
+      this.input("file").value = "";
+      this.input("file").click();
+      return;
+    }
+    const answer = await fetch("tamper.ply").catch(() => null);
+    if (answer?.ok) await this.write(await answer.blob());
+    else this.say("The scene cannot be read: is gsc-jax view still running, and tamper.ply where it was?");
+  }
+
+  async write(file) {
+    if (!file) return;
+    try {
+      const { pieces, kept } = this.part(new Uint8Array(await file.arrayBuffer()));
+      const link = document.createElement("a");
+      link.href = URL.createObjectURL(new Blob(pieces));
+      link.download = `${this.title} ${this.input("part").value}.ply`.replaceAll(" ", "_");
+      link.click();
+      setTimeout(() => URL.revokeObjectURL(link.href), 60000);
+      this.say(`${link.download} is written with all properties of ${kept.toLocaleString("en")} Gaussians.`);
+    } catch (error) {
+      this.say(error.message);
+    }
+  }
+
+  /** Pieces of a file with the rows of a part: labelled by the threshold, or selected. */
+  part(bytes) {
+    const vertices = layout(bytes), name = this.input("part").value, chosen = new Uint8Array(vertices.count);
+    if (vertices.count !== this.total || this.rows.some((row, i) => vertices.score(row) !== this.scores[i]))
+      throw new Error("This is not tamper.ply of these results, or they are new; start gsc-jax view again.");
+    if (name.endsWith("selected")) this.rows.forEach((row, i) => { chosen[row] = this.selected[i]; });
+    else for (let row = 0; row < vertices.count; row++) chosen[row] = vertices.score(row) > this.input("threshold").valueAsNumber;
+    return withRows(bytes, vertices, (row) => (chosen[row] === 1) === name.startsWith("only"));
+  }
+}
+
+document.addEventListener("DOMContentLoaded", becomeClient);

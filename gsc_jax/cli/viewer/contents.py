@@ -100,8 +100,7 @@ def viewer_contents(results: Results, *, most: int) -> tuple[Contents, list[str]
     chosen = splats(gaussians.take(rows))
     means = np.asarray(gaussians.means)
     sample = means[np.linspace(0, len(means) - 1, min(len(means), MAX_DEPTH_SAMPLES)).astype(int)]
-    near = float(results.report["config"]["near"])
-    up = mean_up(results.cameras)
+    near, up = float(results.report["config"]["near"]), mean_up(results.cameras)
     poses = [pose(camera, sample, up=up, near=near) for camera in results.cameras]
     places = [place for pose in poses for place in (pose.position, pose.look_at)]
     contents = Contents(
@@ -123,14 +122,9 @@ def viewer_contents(results: Results, *, most: int) -> tuple[Contents, list[str]
 
 def _sentences(results: Results) -> list[str]:
     report, verdict = results.report, results.report.get("verdict")
-    tampered = report["counts"]["tampered"]
-    labels = labels_sentence(
-        tampered,
-        report["counts"]["gaussians"],
-        verdict=verdict,
-        views=len(report["per_view"]),
-        covered=report["tampered_share_of_views"],
-    )
+    tampered, views = report["counts"]["tampered"], len(report["per_view"])
+    found = {"verdict": verdict, "views": views, "covered": report["tampered_share_of_views"]}
+    labels = labels_sentence(tampered, report["counts"]["gaussians"], **found)
     if verdict is None:
         return [labels]
     probability = f"The scene probability of an edit is {percent(verdict)}."
@@ -139,10 +133,9 @@ def _sentences(results: Results) -> list[str]:
 
 def _omission(results: Results, rows: np.ndarray) -> list[str]:
     omitted = len(results.labels) - len(rows)
-    if not omitted:
-        return []
     tampered = int(results.labels.sum() - results.labels[rows].sum())
-    return [
+    note = (
         f"shows {len(rows):,} of {len(results.labels):,} Gaussians, those of largest opacity times "
         f"area; {tampered:,} of the {omitted:,} omitted are tampered; --most N shows more"
-    ]
+    )
+    return [note] if omitted else []

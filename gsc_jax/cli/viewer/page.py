@@ -13,54 +13,41 @@ from gsc_jax.io.ply import LUMA
 
 WITHOUT_GPU = 10_000, 40_000
 """Gaussians that a browser without a graphics card draws in motion, and may draw at rest."""
-GREY_SHARE = 0.35
-"""Share of the grey scene in the heat map, so that objects can be recognised in it."""
 
 
 def viewer_page(contents: Contents) -> str:
     """A page that needs neither server nor network. It needs the extra `viewer`."""
     from jinja2 import Environment
 
-    total, folder = len(contents.score), files("gsc_jax.cli.viewer")
-    template, *scripts = (
-        folder.joinpath(name).read_text(encoding="utf-8")
-        for name in ("viewer.html", "ply.js", "picking.js", "motion.js", "viewer.js")
-    )
-    unit = half_precision_unit(contents.splats)
-    return (
-        Environment(autoescape=True)
-        .from_string(template)
-        .render(
-            contents=contents,
-            counts=[*(count for count in WITHOUT_GPU if count < total), total],
-            gradient=", ".join(f"rgb{tuple(colour)}" for colour in _heat(9)),
-            data={"facts": _facts(contents, unit), "client": _client(contents, unit)},
-            script="\n".join(scripts),
-        )
+    names = ("viewer.html", "ply.js", "picking.js", "motion.js", "viewer.js")
+    sources = [files("gsc_jax.cli.viewer").joinpath(name).read_text("utf-8") for name in names]
+    total, unit = len(contents.score), half_precision_unit(contents.splats)
+    page = Environment(autoescape=True).from_string(sources[0])
+    return page.render(
+        contents=contents,
+        counts=[*(count for count in WITHOUT_GPU if count < total), total],
+        gradient=", ".join(f"rgb{tuple(colour)}" for colour in _heat(9)),
+        data={"facts": _facts(contents, unit), "client": _client(contents, unit)},
+        script="\n".join(sources[1:]),
     )
 
 
 def _facts(contents: Contents, unit: float) -> dict:
     """What viewer.js knows of the scene beside what viser's client holds."""
-    poses = [
-        {key: np.ravel(value).tolist() for key, value in vars(pose).items() if key != "name"}
-        for pose in contents.poses
-    ]
-    rows = contents.rows.astype("<u4")
+    arrays = contents.score, contents.rows.astype("<u4"), contents.splats.scales
     return {
         "title": contents.title,
         "total": contents.total,
         "unit": unit,
-        "poses": poses,
+        "poses": [
+            {key: np.ravel(value).tolist() for key, value in vars(pose).items() if key != "name"}
+            for pose in contents.poses
+        ],
         "tint": np.rint(255 * contents.tint).tolist(),
         "tint_strength": TINT_STRENGTH,
-        "grey_share": GREY_SHARE,
         "luma": np.asarray(LUMA, float).tolist(),
         "heat": _heat(256),
-        "arrays": [
-            base64.b64encode(np.ascontiguousarray(values)).decode()
-            for values in (contents.score, rows, contents.splats.scales)
-        ],
+        "arrays": [base64.b64encode(x.tobytes()).decode() for x in arrays],
     }
 
 
@@ -74,7 +61,7 @@ def _client(contents: Contents, unit: float) -> str:
     import rich
     import viser
 
-    rich.reconfigure(quiet=True)  # viser prints its status with rich
+    rich.reconfigure(quiet=True)  # viser prints with rich
     server = viser.ViserServer(host="127.0.0.1", port=0, label="gsc-jax", verbose=False)
     server.stop()  # before it has content: other programs could read it
     first, start = server.initial_camera, contents.poses[0]

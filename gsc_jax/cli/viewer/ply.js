@@ -33,8 +33,7 @@ function withRows(bytes, { header, stride, count }, kept) {
     from = row + 1;
   }
   if (!rows) throw new Error("No Gaussian was chosen; choose some.");
-  const before = header.indexOf("element vertex ") + "element vertex ".length;
-  const after = header.indexOf("\n", before);
+  const before = header.indexOf("element vertex ") + 15, after = header.indexOf("\n", before);
   pieces.unshift(bytes.subarray(0, before), String(rows), bytes.subarray(after, start));
   return { pieces: [...pieces, bytes.subarray(start + count * stride)], kept: rows };
 }

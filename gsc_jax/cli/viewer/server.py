@@ -6,6 +6,7 @@ are open in a browser may send requests to servers of the same machine, too.
 """
 
 import contextlib
+import io
 import secrets
 import shutil
 import socket
@@ -15,6 +16,7 @@ from collections.abc import Callable, Iterator
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from typing import BinaryIO
 
 from gsc_jax.cli.options import View
 from gsc_jax.cli.ownership import refuse_foreign_file
@@ -27,6 +29,7 @@ from gsc_jax.scene import InputError
 
 TITLE_END = "gsc-jax</title>"
 """In the title of every written page."""
+HEADERS = ("Cache-Control", "no-store"), ("Referrer-Policy", "no-referrer")
 ALL_ADDRESSES = ("0.0.0.0", "::")
 """Hosts that stand for every address of this machine."""
 
@@ -82,61 +85,48 @@ def write_page(path: Path, page: str) -> str:
 @contextlib.contextmanager
 def serving(page: str, scene: Path, *, token: str, host: str, port: int) -> Iterator[int]:
     """Serve a page and the scene file below `token` inside a block; another port if it is taken."""
-    family, _, _, _, (address, *_) = _address(host)
-
-    class Server(ThreadingHTTPServer):
-        address_family = family
-        daemon_threads = True
-
+    family, *_, (address, *_) = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
+    kind = type("Server", (ThreadingHTTPServer,), {"address_family": family})
+    facts = {"page": page.encode(), "scene": scene, "token": token.encode()}
+    handler = type("Handler", (_Handler,), {**facts, "log_message": lambda *_: None})
     try:
-        server = Server((address, port), _handler(page.encode(), scene, token))
+        server = kind((str(address), port), handler)
     except OSError:
-        server = Server((address, 0), _handler(page.encode(), scene, token))
-    thread = threading.Thread(target=server.serve_forever, daemon=True)
-    thread.start()
-    try:
-        yield server.server_address[1]
-    finally:
-        server.shutdown()
-        server.server_close()
-        thread.join()
+        server = kind((str(address), 0), handler)
+    with server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        try:
+            yield server.server_address[1]
+        finally:
+            server.shutdown()
 
 
-def _handler(page: bytes, scene: Path, token: str) -> type[BaseHTTPRequestHandler]:
-    class Handler(BaseHTTPRequestHandler):
-        def do_GET(self) -> None:
-            with contextlib.suppress(ConnectionError):  # the browser has gone
-                self._answer(*self.path.removeprefix("/").partition("?")[0].partition("/")[::2])
+class _Handler(BaseHTTPRequestHandler):
+    page: bytes
+    scene: Path
+    token: bytes
 
-        def _answer(self, key: str, name: str) -> None:
-            if not secrets.compare_digest(key.encode(errors="replace"), token.encode()):
-                self.send_error(HTTPStatus.FORBIDDEN, "use the address that was printed")
-            elif name == "":
-                self._send("text/html; charset=utf-8", len(page))
-                self.wfile.write(page)
-            elif name == "tamper.ply" and scene.is_file():
-                with scene.open("rb") as content:
-                    self._send("application/octet-stream", scene.stat().st_size)
-                    shutil.copyfileobj(content, self.wfile)
-            else:
-                self.send_error(HTTPStatus.NOT_FOUND)
+    def do_GET(self) -> None:
+        with contextlib.suppress(ConnectionError):  # the browser has gone
+            self._answer(*self.path.removeprefix("/").partition("?")[0].partition("/")[::2])
 
-        def _send(self, kind: str, length: int) -> None:
-            self.send_response(HTTPStatus.OK)
-            headers = {"Content-Type": kind, "Content-Length": str(length)}
-            safe = {"Cache-Control": "no-store", "Referrer-Policy": "no-referrer"}
-            for header in (headers | safe | {"X-Content-Type-Options": "nosniff"}).items():
-                self.send_header(*header)
-            self.end_headers()
+    def _answer(self, token: str, name: str) -> None:
+        if not secrets.compare_digest(token.encode(errors="replace"), self.token):
+            self.send_error(HTTPStatus.FORBIDDEN, "use the address that was printed")
+        elif name == "":
+            self._send("text/html; charset=utf-8", io.BytesIO(self.page), len(self.page))
+        elif name == "tamper.ply" and self.scene.is_file():
+            with self.scene.open("rb") as content:
+                self._send("application/octet-stream", content, self.scene.stat().st_size)
+        else:
+            self.send_error(HTTPStatus.NOT_FOUND)
 
-        def log_message(self, *_: object) -> None:
-            """Requests are not printed."""
-
-    return Handler
-
-
-def _address(host: str) -> tuple:
-    return socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
+    def _send(self, kind: str, content: BinaryIO, length: int) -> None:
+        self.send_response(HTTPStatus.OK)
+        for header in (("Content-Type", kind), ("Content-Length", str(length)), *HEADERS):
+            self.send_header(*header)
+        self.end_headers()
+        shutil.copyfileobj(content, self.wfile)
 
 
 def _check(options: View) -> None:
@@ -151,7 +141,7 @@ def _check(options: View) -> None:
         return
     host, port = options.host, options.port
     try:
-        family, kind, _, _, address = _address(host)
+        family, kind, _, _, address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
         with socket.socket(family, kind) as probe:
             probe.bind(address)
     except OSError as error:

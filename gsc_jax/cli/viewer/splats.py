@@ -1,12 +1,12 @@
 """Gaussians as viser draws them: coloured ellipsoids without view-dependent colour."""
 
+import dataclasses
 from typing import TYPE_CHECKING
 
-import jax
 import numpy as np
 
 from gsc_jax.render.spherical_harmonics import Y0
-from gsc_jax.scene import Array, Gaussians, pytree
+from gsc_jax.scene import Array, Gaussians
 from gsc_jax.scene.gaussians import rotation_matrices
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ TYPICAL_HALF, LARGEST_HALF = 0.1, 250.0
 """Typical and largest standard deviation whose square fits float16, in which viser stores it."""
 
 
-@pytree
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class Splats:
     """N ellipsoids, NumPy float32.
 
@@ -36,10 +36,6 @@ class Splats:
     opacities: np.ndarray
     scales: np.ndarray
 
-    def take(self, rows: np.ndarray) -> "Splats":
-        """The ellipsoids of some rows, given as indices or as a mask."""
-        return jax.tree.map(lambda field: field[rows], self)
-
 
 def splats(gaussians: Gaussians) -> Splats:
     """Convert Gaussians; the covariance is R S S^T R^T."""
@@ -54,7 +50,7 @@ def splats(gaussians: Gaussians) -> Splats:
     )
 
 
-def by_importance(splats: Gaussians | Splats, *, labelled: np.ndarray) -> np.ndarray:
+def by_importance(splats: Gaussians, *, labelled: np.ndarray) -> np.ndarray:
     """All rows in an order of which the first ones already show the edit and what surrounds it.
 
     Each in turn is one of largest opacity times area among the visible that are `labelled`, (N,)

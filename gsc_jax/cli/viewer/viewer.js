@@ -3,7 +3,7 @@
 // the client by the objects that viser offers to its own tests: `__viserMutable` (camera, nodes of
 // the scene, queue of messages), `__viserSceneTree` and `__viserTestpoints`.
 
-const NODE = "/gaussians", SELECTED = [255, 242, 51], BRUSH = 20; // pixels
+const NODE = "/gaussians", SELECTED = [255, 242, 51], GREY = 0.35 /* share in the heat map */, BRUSH = 20 /* pixels */;
 const json = (id) => JSON.parse(document.getElementById(id).textContent);
 const decoded = async (text) => (await fetch(`data:application/octet-stream;base64,${text}`)).arrayBuffer();
 const number = (value) => Number(value.toPrecision(3)).toString();
@@ -63,7 +63,6 @@ class Panel {
   }
 
   input(id) { return document.getElementById(id); }
-
   say(text) { this.input("message").textContent = text; }
 
   send(...messages) {
@@ -71,34 +70,26 @@ class Panel {
     __viserMutable.requestRender();
   }
 
-  // ---- colours
-
-  labelled(i) { return this.scores[i] > this.input("threshold").valueAsNumber; }
-
-  hidden(i) {
-    const layer = this.input("layer").value;
-    return (layer === "tampered only" && !this.labelled(i)) || (layer === "authentic only" && this.labelled(i));
-  }
-
-  rgba(i) {
-    const layer = this.input("layer").value, word = this.original[WORDS * i + COLOUR];
+  rgba(i, layer, labelled) {
+    const word = this.original[WORDS * i + COLOUR];
     let rgb = [word & 255, (word >> 8) & 255, (word >> 16) & 255];
     const mixed = (other, share) => rgb.map((value, k) => (1 - share) * value + share * other[k]);
     if (this.selected[i]) rgb = SELECTED;
-    else if (layer === "result" && this.labelled(i)) rgb = mixed(this.tint, this.tint_strength);
+    else if (layer === "result" && labelled) rgb = mixed(this.tint, this.tint_strength);
     else if (layer === "heat map") {
       rgb = Array(3).fill(rgb.reduce((sum, value, k) => sum + this.luma[k] * value, 0));
-      rgb = mixed(this.heat[Math.round(255 * this.scores[i])], 1 - this.grey_share);
+      rgb = mixed(this.heat[Math.round(255 * this.scores[i])], 1 - GREY);
     }
-    const alpha = this.hidden(i) ? 0 : word >>> 24;
-    return rgb[0] | (rgb[1] << 8) | (rgb[2] << 16) | (alpha << 24);
+    const hidden = layer === (labelled ? "authentic only" : "tampered only");
+    return rgb[0] | (rgb[1] << 8) | (rgb[2] << 16) | (hidden ? 0 : (word >>> 24) << 24);
   }
 
   paint() {
+    const threshold = this.input("threshold").valueAsNumber, layer = this.input("layer").value;
+    const above = this.scores.filter((score) => score > threshold).length;
     this.painted = this.original.slice();
-    for (let i = 0; i < this.count; i++) this.painted[WORDS * i + COLOUR] = this.rgba(i);
+    for (let i = 0; i < this.count; i++) this.painted[WORDS * i + COLOUR] = this.rgba(i, layer, this.scores[i] > threshold);
     if (this.motion) this.motion.wake(true); else this.draw(this.count);
-    const threshold = this.input("threshold").value, above = this.scores.filter((score) => score > threshold).length;
     this.input("value").textContent = threshold;
     this.input("above").textContent = `${above.toLocaleString("en")} of ${this.count.toLocaleString("en")} Gaussians (${number((100 * above) / this.count)} %) score above it.`;
   }
@@ -109,8 +100,6 @@ class Panel {
     this.send({ type: "SceneNodeUpdateMessage", name: NODE, owner: this.message.owner, updates: { buffer } });
   }
 
-  // ---- cameras
-
   jump(step) {
     const camera = this.input("camera"), cameras = camera.options.length;
     camera.selectedIndex = (camera.selectedIndex + step + cameras) % cameras;
@@ -120,13 +109,11 @@ class Panel {
       { type: "SetCameraUpDirectionMessage", position: pose.up, initial },
       { type: "SetCameraPositionMessage", position: pose.position, initial },
       { type: "SetCameraLookAtMessage", look_at: pose.look_at, initial },
-      { type: "SetCameraFovMessage", fov: pose.fov, initial });
+      { type: "SetCameraFovMessage", fov: pose.fov[0], initial });
   }
 
   /** Splats that are drawn at rest. */
   wanted() { return this.motion ? Number(this.input("count").value) : this.count; }
-
-  // ---- selection
 
   /** From units of viser's buffer to those of three.js. */
   matrix() {
@@ -162,14 +149,13 @@ class Panel {
         if (inside && opacity(this.painted, i)) this.selected[i] = 1;
       }
     };
-    const release = (e) => {
+    addEventListener("pointermove", move, true);
+    addEventListener("pointerup", (e) => {
       move(e);
       marker.hidden = true;
       removeEventListener("pointermove", move, true);
       this.tell();
-    };
-    addEventListener("pointermove", move, true);
-    addEventListener("pointerup", release, { once: true, capture: true });
+    }, { once: true, capture: true });
   }
 
   tell() {
@@ -177,26 +163,20 @@ class Panel {
     this.say(`${this.selected.reduce((sum, value) => sum + value, 0).toLocaleString("en")} Gaussians are selected.`);
   }
 
-  // ---- values of a Gaussian
-
   describe(place) {
     const i = splatAt(this.painted, __viserMutable, this.matrix(), place);
     if (i === null) { this.say("No Gaussian is there."); return; }
     const word = this.original[WORDS * i + COLOUR], list = (values) => Array.from(values, number).join(", ");
     const facts = { row: this.rows[i].toLocaleString("en"), score: this.scores[i].toFixed(3),
       position: list(center(this.original, i).map((x) => x * this.unit)), scales: list(this.scales.subarray(3 * i, 3 * i + 3)),
-      opacity: number(opacity(this.original, i)), colour: list([word & 255, (word >> 8) & 255, (word >> 16) & 255].map((x) => x / 255)) };
+      opacity: opacity(this.original, i).toFixed(2), colour: [word & 255, (word >> 8) & 255, (word >> 16) & 255].map((x) => (x / 255).toFixed(2)).join(", ") };
     const table = document.createElement("table");
     for (const [name, value] of Object.entries(facts)) {
       const line = table.insertRow();
-      line.append(document.createElement("th"));
-      line.firstChild.textContent = name;
-      line.insertCell().textContent = value;
+      for (const text of [name, value]) line.insertCell().textContent = text;
     }
     this.input("message").replaceChildren("The Gaussian that is seen there:", table);
   }
-
-  // ---- export
 
   async export() {
     if (location.protocol === "file:") { // a page that is opened from a file may read no other

@@ -80,7 +80,8 @@ class Result:
     seconds: float
     warnings: list[str]
 
-    __repr__ = short_repr
+    def __repr__(self) -> str:
+        return short_repr(self).replace("(", f"(outcome={self.outcome!r}, ", 1)
 
     @property
     def outcome(self) -> Outcome | None:

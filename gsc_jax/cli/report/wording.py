@@ -3,7 +3,7 @@
 import dataclasses
 from collections import Counter
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from gsc_jax.estimators.protocol import Outcome, Reliability, outcome
 from gsc_jax.forensics.traces import Trace
@@ -50,16 +50,14 @@ HEADLINES: dict[Outcome, str] = {
     "inconclusive": "Inconclusive: it is unclear whether this scene was edited.",
     "none": "No evidence of editing.",
 }
-COUNTS: dict[bool, dict[Outcome, tuple[int, int]]] = {
-    True: {"evidence": (3, 91), "inconclusive": (11, 12), "none": (46, 2)},
-    False: {"evidence": (0, 3), "inconclusive": (4, 22), "none": (23, 56)},
+Basis = Literal["masks and attributes", "masks", "attributes"]
+COUNTS: dict[Basis, dict[Outcome, tuple[int, int]]] = {
+    "masks and attributes": {"evidence": (0, 83), "inconclusive": (9, 12), "none": (23, 1)},
+    "masks": {"evidence": (3, 91), "inconclusive": (11, 12), "none": (46, 2)},
+    "attributes": {"evidence": (0, 3), "inconclusive": (4, 22), "none": (23, 56)},
 }
-"""How many authentic and edited test scenes had each outcome, with masks (docs/calibration.csv) and
-by the attributes alone (docs/heldout.csv)."""
-TESTS = {
-    True: "with simulated masks alone",
-    False: "of the attributes alone, in files exported again after the edit",
-}
+"""How many authentic and edited test scenes had each outcome: docs/beside_masks.csv (attributes
+beside masks, on scenes that nothing was trained on), docs/calibration.csv and docs/heldout.csv."""
 MIN_RATIO = 3
 """Ratio of the shares of edited and authentic scenes below which an outcome says little."""
 ROUNDED_SHARE = 0.0005
@@ -88,23 +86,24 @@ def headline(verdict: float | None, tampered: int) -> str:
     return "No Gaussian is labelled as tampered."
 
 
-def meaning(verdict: float, *, masks: bool, traced: bool = False) -> str:
-    """How often authentic and edited test scenes have this outcome, with masks or without.
+def meaning(verdict: float, *, basis: Basis, traced: bool = False) -> str:
+    """How often authentic and edited test scenes have this outcome, from masks, attributes or both.
 
     No test counts traces, on which a scene probability without masks rests where any is found.
     """
-    if traced and not masks:
+    if traced and basis == "attributes":
         return (
             "It rests on a trace in the stored values. Editing a part of a file leaves one, but so "
             "may any program that rewrites only a part."
         )
     found = outcome(verdict)
     assert found is not None
-    counts, totals = COUNTS[masks][found], list(map(sum, zip(*COUNTS[masks].values(), strict=True)))
+    counts, totals = COUNTS[basis][found], list(map(sum, zip(*COUNTS[basis].values(), strict=True)))
     authentic, edited = (count / total for count, total in zip(counts, totals, strict=True))
     weak = max(authentic, edited) < MIN_RATIO * min(authentic, edited)
+    kind = "simulated masks alone" if basis == "masks" else f"{basis}, in files exported again"
     return (
-        f"In tests {TESTS[masks]}, {counts[0]} of {totals[0]} authentic and {counts[1]} of "
+        f"In tests of {kind}, {counts[0]} of {totals[0]} authentic and {counts[1]} of "
         f"{totals[1]} edited scenes came out like this"
         f"{': on its own, it says little about whether a scene was edited' if weak else ''}."
     )
@@ -165,11 +164,13 @@ def summary(located: Located, out: Path) -> list[str]:
     result, verdict, findings = located.result, located.result.verdict, [lead(located)]
     if verdict is not None:
         contradiction = conflict(result)
-        known = {"masks": bool(result.probabilities), "traced": bool(found_traces(result))}
+        basis: Basis = "masks and attributes" if result.prior else "masks"
+        basis, traced = basis if result.probabilities else "attributes", bool(found_traces(result))
         findings = [
             *([contradiction] if contradiction else []),
             f"{headline(verdict, int(result.labels.sum()))} {findings[0]}",
-            f"edited   {percent(verdict)} (scene probability). {meaning(verdict, **known)}",
+            f"edited   {percent(verdict)} (scene probability). "
+            f"{meaning(verdict, basis=basis, traced=traced)}",
         ]
     seconds = {name: stage["seconds"] for name, stage in result.stages.items()}
     slowest = sorted(seconds, key=seconds.__getitem__, reverse=True)[:3]

@@ -104,7 +104,7 @@ def viewer_contents(results: Results, *, most: int) -> tuple[Contents, list[str]
     poses = [pose(camera, sample, up=up, near=near) for camera in results.cameras]
     places = [place for pose in poses for place in (pose.position, pose.look_at)]
     contents = Contents(
-        title=results.folder.resolve().name,
+        title=results.folder.resolve().name.encode(errors="replace").decode(),
         sentences=_sentences(results),
         splats=chosen,
         score=results.tamper[rows],

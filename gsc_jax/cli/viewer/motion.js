@@ -1,7 +1,7 @@
 "use strict";
-// Without a graphics card, a frame takes 0.1 s with 10,000 splats and 1.4 s with 250,000, and the
-// client of viser draws frames all the time. So the first splats, which are those that matter most,
-// are drawn while the camera moves. When it rests, all are drawn in a single frame.
+// Without a graphics card, a frame takes 0.1 s with 10,000 splats and 1.4 s with 250,000, and viser
+// draws frames all the time. So the first splats, which matter most, are drawn while the camera moves,
+// and all of them in a single frame when it rests.
 
 const REST = 400, TICK = 50, SORTED = 5000; // milliseconds
 
@@ -11,8 +11,9 @@ class Motion {
     __viserTestpoints.devSettings.set({ fixedDpr: 0.5 }); // pixels of the canvas for one of the page
     for (const kind of ["pointerdown", "wheel", "keydown", "resize"])
       addEventListener(kind, (event) => {
-        if (kind === "resize" || !document.getElementById("panel").contains(event.target)) this.wake();
+        if (kind !== "resize" && document.getElementById("panel").contains(event.target)) return;
         this.pressed ||= kind === "pointerdown";
+        this.wake();
       }, true);
     for (const kind of ["pointerup", "pointercancel"]) addEventListener(kind, () => { this.pressed = false; }, true);
     setInterval(() => this.look(), TICK);
@@ -21,10 +22,14 @@ class Motion {
   /** The drawing loop of the client, which belongs to react-three-fiber. */
   get loop() { return __viserMutable.scene.__r3f.root.getState(); }
 
+  get wanted() { return Number(this.panel.input("count").value); }
+
   look() {
-    const camera = __viserMutable.camera.matrixWorld.elements.join(), now = performance.now();
-    if (camera !== this.camera || this.pressed) Object.assign(this, { camera, moved: now });
-    else if (now - this.moved > REST && this.panel.drawn !== this.panel.wanted()) this.show(this.panel.wanted());
+    const camera = __viserMutable.camera.matrixWorld.elements.join(), still = performance.now() - this.moved;
+    if (camera !== this.camera || this.pressed) {
+      this.camera = camera;
+      this.wake(); // also if the frame of all splats has moved it: their order is that of before
+    } else if (still > REST && this.panel.drawn !== this.wanted) this.show(this.wanted);
   }
 
   /** Draw few splats; also those that are drawn already if they `changed`. */
@@ -38,10 +43,11 @@ class Motion {
     this.loop.setFrameloop("never");
     this.panel.draw(count);
     __viserMutable.drainMessageQueue();
-    while (!this.sorted(count) && performance.now() - start < SORTED) await new Promise((go) => setTimeout(go, TICK));
+    while (turn === this.turn && !this.sorted(count) && performance.now() - start < SORTED)
+      await new Promise((go) => setTimeout(go, TICK));
     if (turn !== this.turn) return; // something has happened since
     if (count === this.few) this.loop.setFrameloop("demand");
-    else this.loop.advance(performance.now(), true);
+    else this.loop.advance(TICK / 1000, true); // seconds
     this.shown = count;
   }
 

@@ -8,12 +8,13 @@ const TYPES = { char: 1, uchar: 1, short: 2, ushort: 2, int: 4, uint: 4, float: 
 function layout(bytes) {
   const text = new TextDecoder("latin1").decode(bytes.subarray(0, 65536)); // a sign for each byte
   const header = /^ply\n[^]*?\nend_header\n/.exec(text)?.[0] ?? "";
-  const [, type, count, properties] = /^element (\w+) (\d+)\n((?:property .*\n)*)/m.exec(header) ?? [];
+  const [, type, count, properties] = /^element (\w+) (\d+)\n((?:(?:property|comment) .*\n)*)/m.exec(header) ?? [];
   if (!header.includes("\nformat binary_little_endian ") || type !== "vertex")
     throw new Error("Expected tamper.ply as gsc-jax wrote it, with the Gaussians as its first element.");
   let stride = 0, tamper = NaN;
   for (const line of properties.trim().split("\n")) {
-    const [, type, name] = line.split(" ");
+    const [word, type, name] = line.split(" ");
+    if (word === "comment") continue;
     if (name === "tamper") tamper = stride;
     stride += TYPES[type];
   }

@@ -7,6 +7,7 @@ are open in a browser may send requests to servers of the same machine, too.
 
 import contextlib
 import io
+import os
 import secrets
 import shutil
 import socket
@@ -52,14 +53,13 @@ def run_view(
     """
     _check(options)
     monitor = monitor or Monitor()
-    monitor.progress("load", 0, 2)
+    monitor.progress("load", 0, 1)
     # The results are not kept in a variable: they are large, and serving lasts.
     contents, notes = viewer_contents(
         read_results(options.folder, max_bytes=memory_limit(options.memory)), most=options.most
     )
-    monitor.progress("load", 1, 2)
     page = viewer_page(contents)
-    monitor.progress("load", 2, 2)
+    monitor.progress("load", 1, 1)
     if options.html is not None:
         return [write_page(options.html, page)], notes
     del contents
@@ -86,7 +86,8 @@ def write_page(path: Path, page: str) -> str:
 def serving(page: str, scene: Path, *, token: str, host: str, port: int) -> Iterator[int]:
     """Serve a page and the scene file below `token` inside a block; another port if it is taken."""
     family, *_, (address, *_) = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
-    kind = type("Server", (ThreadingHTTPServer,), {"address_family": family})
+    ended = {"address_family": family, "handle_error": lambda *_: None}  # a browser goes away
+    kind = type("Server", (ThreadingHTTPServer,), ended)
     facts = {"page": page.encode(), "scene": scene, "token": token.encode()}
     handler = type("Handler", (_Handler,), {**facts, "log_message": lambda *_: None})
     try:
@@ -105,19 +106,17 @@ class _Handler(BaseHTTPRequestHandler):
     page: bytes
     scene: Path
     token: bytes
+    timeout = 60
 
     def do_GET(self) -> None:
-        with contextlib.suppress(ConnectionError):  # the browser has gone
-            self._answer(*self.path.removeprefix("/").partition("?")[0].partition("/")[::2])
-
-    def _answer(self, token: str, name: str) -> None:
+        token, slash, name = self.path.removeprefix("/").partition("?")[0].partition("/")
         if not secrets.compare_digest(token.encode(errors="replace"), self.token):
             self.send_error(HTTPStatus.FORBIDDEN, "use the address that was printed")
-        elif name == "":
+        elif slash and not name:
             self._send("text/html; charset=utf-8", io.BytesIO(self.page), len(self.page))
         elif name == "tamper.ply" and self.scene.is_file():
             with self.scene.open("rb") as content:
-                self._send("application/octet-stream", content, self.scene.stat().st_size)
+                self._send("application/octet-stream", content, os.fstat(content.fileno()).st_size)
         else:
             self.send_error(HTTPStatus.NOT_FOUND)
 

@@ -54,6 +54,7 @@ class Panel {
     this.input("export").addEventListener("click", () => this.export());
     this.input("file").addEventListener("change", (event) => this.write(event.target.files[0]));
     document.getElementById("panel").open = innerWidth > 600;
+    document.title = `${this.title} – gsc-jax`; // not that of the client
     addEventListener("pointerdown", (event) => this.press(event), true);
     if (software && this.input("count").options.length > 1) {
       this.input("counts").hidden = false;
@@ -63,6 +64,7 @@ class Panel {
   }
 
   input(id) { return document.getElementById(id); }
+  get threshold() { return Math.fround(this.input("threshold").valueAsNumber); } // as exact as the scores
   say(text) { this.input("message").textContent = text; }
 
   send(...messages) {
@@ -85,12 +87,12 @@ class Panel {
   }
 
   paint() {
-    const threshold = this.input("threshold").valueAsNumber, layer = this.input("layer").value;
+    const { threshold } = this, layer = this.input("layer").value;
     const above = this.scores.filter((score) => score > threshold).length;
     this.painted = this.original.slice();
     for (let i = 0; i < this.count; i++) this.painted[WORDS * i + COLOUR] = this.rgba(i, layer, this.scores[i] > threshold);
     if (this.motion) this.motion.wake(true); else this.draw(this.count);
-    this.input("value").textContent = threshold;
+    this.input("value").textContent = number(threshold);
     this.input("above").textContent = `${above.toLocaleString("en")} of ${this.count.toLocaleString("en")} Gaussians (${number((100 * above) / this.count)} %) score above it.`;
   }
 
@@ -112,9 +114,6 @@ class Panel {
       { type: "SetCameraFovMessage", fov: pose.fov[0], initial });
   }
 
-  /** Splats that are drawn at rest. */
-  wanted() { return this.motion ? Number(this.input("count").value) : this.count; }
-
   /** From units of viser's buffer to those of three.js. */
   matrix() {
     const { matrixWorld } = __viserMutable.nodeRefFromName[NODE];
@@ -123,15 +122,13 @@ class Panel {
 
   press(event) {
     const { canvas } = __viserMutable, drag = event.shiftKey ? "box" : this.input("drag").value;
-    if (event.target !== canvas) return;
+    if (event.target !== canvas || !event.isPrimary) return;
     const box = canvas.getBoundingClientRect(), point = (e) => [e.clientX - box.left, e.clientY - box.top];
     const start = point(event);
-    if (drag === "turn") {
-      addEventListener("pointerup", (e) => {
-        if (Math.hypot(point(e)[0] - start[0], point(e)[1] - start[1]) < 3) this.describe(start);
-      }, { once: true });
-      return;
-    }
+    if (drag === "turn") addEventListener("pointerup", (e) => {
+      if (Math.hypot(point(e)[0] - start[0], point(e)[1] - start[1]) < 3) this.describe(start);
+    }, { once: true });
+    if (drag === "turn") return;
     event.stopImmediatePropagation(); // the camera stays
     event.preventDefault();
     const places = placesOf(this.original, __viserMutable, this.matrix()), marker = this.input("drawn");
@@ -149,13 +146,14 @@ class Panel {
         if (inside && opacity(this.painted, i)) this.selected[i] = 1;
       }
     };
-    addEventListener("pointermove", move, true);
-    addEventListener("pointerup", (e) => {
-      move(e);
+    const end = new AbortController(), options = { capture: true, signal: end.signal };
+    addEventListener("pointermove", move, options);
+    for (const kind of ["pointerup", "pointercancel"]) addEventListener(kind, (e) => {
+      if (kind === "pointerup") move(e);
       marker.hidden = true;
-      removeEventListener("pointermove", move, true);
+      end.abort();
       this.tell();
-    }, { once: true, capture: true });
+    }, options);
   }
 
   tell() {
@@ -179,15 +177,13 @@ class Panel {
   }
 
   async export() {
-    if (location.protocol === "file:") { // a page that is opened from a file may read no other
-      this.say("Choose tamper.ply in the folder of these results.");
-      this.input("file").value = "";
-      this.input("file").click();
-      return;
-    }
-    const answer = await fetch("tamper.ply").catch(() => null);
-    if (answer?.ok) await this.write(await answer.blob());
-    else this.say("The scene cannot be read: is gsc-jax view still running, and tamper.ply where it was?");
+    // A page that is opened from a file may read no other.
+    const answer = location.protocol === "file:" ? null : await fetch("tamper.ply").catch(() => null);
+    const content = answer?.ok ? await answer.blob().catch(() => null) : null;
+    if (content) { await this.write(content); return; }
+    this.say("Choose tamper.ply in the folder of these results.");
+    this.input("file").value = "";
+    this.input("file").click();
   }
 
   async write(file) {
@@ -211,7 +207,7 @@ class Panel {
     if (vertices.count !== this.total || this.rows.some((row, i) => vertices.score(row) !== this.scores[i]))
       throw new Error("This is not tamper.ply of these results, or they are new; start gsc-jax view again.");
     if (name.endsWith("selected")) this.rows.forEach((row, i) => { chosen[row] = this.selected[i]; });
-    else for (let row = 0; row < vertices.count; row++) chosen[row] = vertices.score(row) > this.input("threshold").valueAsNumber;
+    else for (let row = 0; row < vertices.count; row++) chosen[row] = vertices.score(row) > this.threshold;
     return withRows(bytes, vertices, (row) => (chosen[row] === 1) === name.startsWith("only"));
   }
 }

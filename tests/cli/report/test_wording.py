@@ -47,30 +47,60 @@ def test_a_conflict_of_masks_and_attributes_is_the_first_sentence(tmp_path: Path
 
 def test_the_rates_of_the_outcomes_are_those_of_the_tables():
     docs = Path(wording.__file__).parents[3] / "docs"
-    tables = {True: read_csv(docs / "calibration.csv"), False: read_csv(docs / "heldout.csv")}
-    tables[True] = tables[True][tables[True].bin == -1]
-    tables[False] = tables[False].drop_duplicates(["host", "edit", "seed"])
-    for masks, rows in tables.items():
+    names = {
+        "masks": "calibration",
+        "attributes": "heldout",
+        "masks and attributes": "beside_masks",
+    }
+    tables = {basis: read_csv(docs / f"{name}.csv") for basis, name in names.items()}
+    tables["masks"] = tables["masks"][tables["masks"].bin == -1]
+    tables["attributes"] = tables["attributes"].drop_duplicates(["host", "edit", "seed"])
+    both = tables["masks and attributes"]
+    both = both[both.prior == "attributes"]
+    tables["masks and attributes"] = both.assign(
+        edit=both.edit.where(both.kind == "edited", "none")
+    )
+    assert tables.keys() == wording.COUNTS.keys()
+    for basis, rows in tables.items():
         found = rows.verdict.map(outcome)
-        for name, counts in wording.COUNTS[masks].items():
+        for name, counts in wording.COUNTS[basis].items():  # pyright: ignore[reportArgumentType]
             kinds = (rows.edit.eq("none"), rows.edit.ne("none"))
             assert counts == tuple((found[kind] == name).sum() for kind in kinds)
 
 
 @pytest.mark.parametrize(
-    ("verdict", "masks", "weak"),
-    [(0.01, False, True), (0.4, False, True), (0.9, False, False), (0.01, True, False)],
+    ("verdict", "basis", "weak"),
+    [
+        (0.01, "attributes", True),
+        (0.4, "attributes", True),
+        (0.9, "attributes", False),
+        (0.01, "masks", False),
+        (0.4, "masks and attributes", True),
+        (0.9, "masks and attributes", False),
+    ],
 )
-def test_an_outcome_of_most_scenes_is_said_to_say_little(verdict, masks, weak):
-    text = wording.meaning(verdict, masks=masks)
+def test_an_outcome_of_most_scenes_is_said_to_say_little(verdict, basis, weak):
+    text = wording.meaning(verdict, basis=basis)
     assert ("it says little" in text) == weak
-    assert " of 27 authentic and " in text or masks
+    total = {"attributes": 27, "masks": 60, "masks and attributes": 32}[basis]
+    assert f" of {total} authentic and " in text
+    assert f"In tests of {'simulated masks alone' if basis == 'masks' else basis}, " in text
+
+
+def test_the_rates_are_those_of_what_the_run_used(tmp_path: Path):
+    def edited(**changes) -> str:
+        lines = wording.summary(run(tmp_path, NAMES[:1], **changes), Path("out"))
+        return next(line for line in lines if line.startswith("edited"))
+
+    prior = SimpleNamespace(verdict=0.5, traces=())
+    assert "In tests of masks and attributes" in edited(verdict=0.9, prior=prior)
+    assert "In tests of simulated masks alone" in edited(verdict=0.9, prior=None)
 
 
 def test_a_trace_without_masks_is_said_to_decide():
-    assert "stored values" in wording.meaning(0.99, masks=False, traced=True)
-    for masks, traced in ((True, True), (False, False)):
-        assert "In tests" in wording.meaning(0.99, masks=masks, traced=traced)
+    assert "stored values" in wording.meaning(0.99, basis="attributes", traced=True)
+    for basis, traced in (("masks", True), ("masks and attributes", True), ("attributes", False)):
+        assert "In tests" in wording.meaning(0.99, basis=basis, traced=traced)  # pyright: ignore
 
 
 def test_numbers_are_rounded_to_bounds():

@@ -53,6 +53,15 @@ __viserMutable.scene.traverse((node) => {
 return Array.from(order);
 """
 """Splats in the order in which viser draws them."""
+SLOW = """
+const { sorted } = view.motion, delay = arguments[0];
+let last = 0, since = 0;
+view.motion.sorted = (count) => {
+  if (count !== last) [last, since] = [count, performance.now()];
+  return performance.now() - since >= delay && sorted.call(view.motion, count);
+};
+"""
+"""Let sorting take longer."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -288,6 +297,28 @@ def test_cameras_are_selected_and_the_layer_stays(page):
 def test_splats_are_drawn_in_the_order_of_their_depth(page):
     page.input("next").click()
     page.shows_camera(1)
+    check_order(page)
+    assert page.browser.title.startswith("found")
+
+
+@pytest.mark.parametrize("delay", [0, 600])
+def test_at_rest_all_are_drawn_in_the_order_of_their_depth(shown, tmp_path, monkeypatch, delay):
+    """Also if the client has sorted the first only after the time at which all are drawn."""
+    monkeypatch.setattr("gsc_jax.cli.viewer.page.WITHOUT_GPU", (300, 900))
+    write_page(tmp_path / "page.html", viewer_page(shown.contents))
+    shown.open((tmp_path / "page.html").as_uri()).ready()
+    shown.until(lambda _: shown.count() == len(shown.contents.rows))
+    shown.browser.execute_script(SLOW, delay)
+    shown.input("next").click()
+    shown.shows_camera(1)
+    shown.until(lambda _: shown.count() == len(shown.contents.rows))
+    time.sleep(1)
+    shown.until(lambda _: shown.count() == len(shown.contents.rows))
+    check_order(shown)
+
+
+def check_order(page: Shown) -> None:
+    """The splats are drawn in the order of their depth from the second camera."""
     order = page.browser.execute_script(ORDER)
     pose = page.contents.poses[1]
     viewmat = look_at(pose.position, pose.look_at, pose.up)
@@ -394,6 +425,34 @@ def test_exports_are_rows_of_the_file_with_all_properties(page, tmp_path):
     page.select("part", "only selected")
     page.export()
     page.until(lambda _: "No Gaussian was chosen" in page.message())
+
+
+def test_a_score_at_the_threshold_is_not_above_it(page):
+    """As in NumPy, which compares float32 with the threshold in single precision."""
+    above = "view.scores[0] = 0.1; view.input('threshold').value = 0.1; return view.scores[0] > "
+    assert page.browser.execute_script(above + "0.1")
+    assert not page.browser.execute_script(above + "view.threshold")
+
+
+def test_comments_of_the_vertices_are_kept(shown, written, tmp_path):
+    scene = read_ply(shown.folder / "tamper.ply")
+    scene.ply["vertex"].comments = ["made by hand"]
+    path, tamper = tmp_path / "tamper.ply", np.load(shown.folder / "tamper.npy")
+    save_tampered(path, scene, tamper[scene.rows])
+    header = path.read_bytes().partition(b"end_header")[0]
+    assert b"comment made by" in header
+    shown.open(written).ready()
+    script = """
+const [text, done] = arguments, bytes = Uint8Array.from(atob(text), (sign) => sign.charCodeAt(0));
+const part = new Blob(view.part(bytes).pieces);
+part.arrayBuffer().then((all) => done(Array.from(new Uint8Array(all))));
+"""
+    shown.select("part", "only labelled")
+    encoded = base64.b64encode(path.read_bytes()).decode()
+    path.write_bytes(bytes(shown.browser.execute_async_script(script, encoded)))
+    exported, labels = read_ply(path).ply["vertex"], np.load(shown.folder / "labels.npy")
+    assert exported.comments == scene.ply["vertex"].comments
+    assert len(exported.data) == labels.sum()
 
 
 def test_other_files_are_refused(shown, written, tmp_path):

@@ -3,6 +3,7 @@
 import contextlib
 import http.client
 import socket
+import struct
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -66,6 +67,10 @@ def test_nothing_without_the_token(port: int, path: str):
     assert b"page" not in content
 
 
+def test_an_address_without_its_last_slash_is_none(port: int):
+    assert answer(port, "/secret")[0] == 404, "its export would ask for another address"
+
+
 @pytest.mark.parametrize(
     "name", ["result.json", "../tamper.ply", "../../etc/passwd", "..%2fresult.json", "tamper.ply/"]
 )
@@ -85,6 +90,10 @@ def test_a_browser_that_goes_away_is_no_error(scene: Path, capfd: pytest.Capture
     ):
         plain.sendall(b"GET /secret/ HTTP/1.0\r\n\r\n")
         plain.recv(10)
+        for request in (b"", b"nonsense\r\n\r\n"):
+            with socket.create_connection(("127.0.0.1", port)) as other:
+                other.sendall(request)
+                other.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
     assert capfd.readouterr() == ("", "")
 
 

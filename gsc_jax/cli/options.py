@@ -159,8 +159,8 @@ class View:
     the page shows:
       the scene with the labelled Gaussians marked, or without marks, a
       heat map of the scores, or only one of both groups, by a threshold;
-      its cameras; the values of a Gaussian at a click; a selection with
-      boxes or a brush; and it writes parts of the scene as .ply
+      its cameras; values and traces of a Gaussian at a click; a
+      selection (boxes, a brush); and it writes parts as .ply
 
     Attributes:
         folder: Folder with the results of `locate`.

@@ -50,6 +50,7 @@ class _Report(BaseModel):
     per_view: list[_View]
     tampered_share_of_views: Share
     verdict: Share | None = None
+    attributes: dict[str, Any] | None = None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

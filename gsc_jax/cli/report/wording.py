@@ -3,7 +3,7 @@
 import dataclasses
 from collections import Counter
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from gsc_jax.estimators.protocol import Outcome, Reliability, outcome
 from gsc_jax.forensics.traces import Trace
@@ -50,8 +50,7 @@ HEADLINES: dict[Outcome, str] = {
     "inconclusive": "Inconclusive: it is unclear whether this scene was edited.",
     "none": "No evidence of editing.",
 }
-Basis = Literal["masks and attributes", "masks", "attributes"]
-COUNTS: dict[Basis, dict[Outcome, tuple[int, int]]] = {
+COUNTS: dict[str, dict[Outcome, tuple[int, int]]] = {
     "masks and attributes": {"evidence": (0, 83), "inconclusive": (9, 12), "none": (23, 1)},
     "masks": {"evidence": (3, 91), "inconclusive": (11, 12), "none": (46, 2)},
     "attributes": {"evidence": (0, 3), "inconclusive": (4, 22), "none": (23, 56)},
@@ -86,7 +85,7 @@ def headline(verdict: float | None, tampered: int) -> str:
     return "No Gaussian is labelled as tampered."
 
 
-def meaning(verdict: float, *, basis: Basis, traced: bool = False) -> str:
+def meaning(verdict: float, *, basis: str, traced: bool = False) -> str:
     """How often authentic and edited test scenes have this outcome, from masks, attributes or both.
 
     No test counts traces, on which a scene probability without masks rests where any is found.
@@ -164,7 +163,7 @@ def summary(located: Located, out: Path) -> list[str]:
     result, verdict, findings = located.result, located.result.verdict, [lead(located)]
     if verdict is not None:
         contradiction = conflict(result)
-        basis: Basis = "masks and attributes" if result.prior else "masks"
+        basis = "masks and attributes" if result.prior else "masks"
         basis, traced = basis if result.probabilities else "attributes", bool(found_traces(result))
         findings = [
             *([contradiction] if contradiction else []),

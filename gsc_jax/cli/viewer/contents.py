@@ -8,6 +8,7 @@ from gsc_jax.cli.pictures import CANDIDATE, TINT
 from gsc_jax.cli.report.wording import are_candidates, headline, labels_sentence, percent
 from gsc_jax.cli.results import Results
 from gsc_jax.cli.viewer.splats import Splats, by_importance, splats
+from gsc_jax.forensics.evidence import forensic_evidence
 from gsc_jax.render.orbit import mean_up
 from gsc_jax.render.projection import NEAR
 from gsc_jax.scene import Array, Camera
@@ -74,6 +75,7 @@ class Contents:
         tint: Colour of the labelled Gaussians, shape (3,).
         rows: Rows of the splats in the scene file, shape (N,) int64.
         total: Rows of the scene file.
+        traces: Which Gaussians have each trace that was found, by name, shape (N,) bool.
         up: Unit up direction, shape (3,).
         near: Near plane in world units.
         far: Far plane: twice the diagonal of the box around all splats, cameras and their targets.
@@ -87,6 +89,7 @@ class Contents:
     tint: np.ndarray
     rows: np.ndarray
     total: int
+    traces: dict[str, np.ndarray]
     poses: list[Pose]
     up: np.ndarray
     near: float
@@ -112,12 +115,19 @@ def viewer_contents(results: Results, *, most: int) -> tuple[Contents, list[str]
         tint=CANDIDATE if are_candidates(results.report.get("verdict")) else TINT,
         rows=results.scene.rows[rows],
         total=results.scene.total,
+        traces={name: has[rows] for name, has in _traces(results).items()},
         poses=poses,
         up=up,
         near=near,
         far=2 * float(np.linalg.norm(np.ptp(np.concatenate([chosen.centers, places]), axis=0))),
     )
     return contents, _omission(results, rows)
+
+
+def _traces(results: Results) -> dict[str, np.ndarray]:
+    has_some = (results.report.get("attributes") or {}).get("traces")
+    found = forensic_evidence(results.scene.gaussians).traces if has_some else ()
+    return {trace.name: trace.score > 0.5 for trace in found if trace.found}
 
 
 def _sentences(results: Results) -> list[str]:

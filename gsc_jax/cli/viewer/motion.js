@@ -6,8 +6,8 @@
 const REST = 400, TICK = 50, SORTED = 5000; // milliseconds
 
 class Motion {
-  constructor(panel, few) {
-    Object.assign(this, { panel, few, turn: 0, pressed: false, moved: performance.now(), camera: "" });
+  constructor(panel) {
+    Object.assign(this, { panel, few: panel.few, all: panel.count, turn: 0, pressed: false, moved: performance.now(), camera: "" });
     __viserTestpoints.devSettings.set({ fixedDpr: 0.5 }); // pixels of the canvas for one of the page
     for (const kind of ["pointerdown", "wheel", "keydown", "resize"])
       addEventListener(kind, (event) => {
@@ -19,17 +19,13 @@ class Motion {
     setInterval(() => this.look(), TICK);
   }
 
-  /** The drawing loop of the client, which belongs to react-three-fiber. */
-  get loop() { return __viserMutable.scene.__r3f.root.getState(); }
-
-  get wanted() { return Number(this.panel.input("count").value); }
-
+  get loop() { return __viserMutable.scene.__r3f.root.getState(); } // of react-three-fiber, which draws
   look() {
     const camera = __viserMutable.camera.matrixWorld.elements.join(), still = performance.now() - this.moved;
     if (camera !== this.camera || this.pressed) {
       this.camera = camera;
       this.wake(); // also if the frame of all splats has moved it: their order is that of before
-    } else if (still > REST && this.panel.drawn !== this.wanted) this.show(this.wanted);
+    } else if (still > REST && this.panel.drawn !== this.all) this.show(this.all);
   }
 
   /** Draw few splats; also those that are drawn already if they `changed`. */

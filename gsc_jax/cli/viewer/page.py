@@ -11,8 +11,8 @@ from gsc_jax.cli.viewer.contents import Contents
 from gsc_jax.cli.viewer.splats import add_splats, half_precision_unit, heat
 from gsc_jax.io.ply import LUMA
 
-WITHOUT_GPU = 10_000, 40_000
-"""Gaussians that a browser without a graphics card draws in motion, and may draw at rest."""
+IN_MOTION = 10_000
+"""Gaussians that a browser without a graphics card draws while the camera moves."""
 
 
 def viewer_page(contents: Contents) -> str:
@@ -21,11 +21,11 @@ def viewer_page(contents: Contents) -> str:
 
     names = ("viewer.html", "ply.js", "picking.js", "motion.js", "viewer.js")
     sources = [files("gsc_jax.cli.viewer").joinpath(name).read_text("utf-8") for name in names]
-    total, unit = len(contents.score), half_precision_unit(contents.splats)
+    unit = half_precision_unit(contents.splats)
     page = Environment(autoescape=True).from_string(sources[0])
     return page.render(
         contents=contents,
-        counts=[*(count for count in WITHOUT_GPU if count < total), total],
+        few=IN_MOTION,
         gradient=", ".join(f"rgb{tuple(colour)}" for colour in _heat(9)),
         data={"facts": _facts(contents, unit), "client": _client(contents, unit)},
         script="\n".join(sources[1:]),
@@ -38,6 +38,8 @@ def _facts(contents: Contents, unit: float) -> dict:
     return {
         "title": contents.title,
         "total": contents.total,
+        "few": IN_MOTION,
+        "traces": {name: np.flatnonzero(has).tolist() for name, has in contents.traces.items()},
         "unit": unit,
         "poses": [
             {key: np.ravel(value).tolist() for key, value in vars(pose).items() if key != "name"}

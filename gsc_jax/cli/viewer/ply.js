@@ -12,9 +12,8 @@ function layout(bytes) {
   if (!header.includes("\nformat binary_little_endian ") || type !== "vertex")
     throw new Error("Expected tamper.ply as gsc-jax wrote it, with the Gaussians as its first element.");
   let stride = 0, tamper = NaN;
-  for (const line of properties.trim().split("\n")) {
-    const [word, type, name] = line.split(" ");
-    if (word === "comment") continue;
+  for (const line of properties.match(/^property .*$/gm) ?? []) {
+    const [, type, name] = line.split(" ");
     if (name === "tamper") tamper = stride;
     stride += TYPES[type];
   }

@@ -28,11 +28,9 @@ from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.io.files import atomic, memory_limit
 from gsc_jax.scene import InputError
 
-TITLE_END = "gsc-jax</title>"
-"""In the title of every written page."""
+TITLE_END = "gsc-jax</title>"  # of every written page
 HEADERS = ("Cache-Control", "no-store"), ("Referrer-Policy", "no-referrer")
-ALL_ADDRESSES = ("0.0.0.0", "::")
-"""Hosts that stand for every address of this machine."""
+ALL_ADDRESSES = ("0.0.0.0", "::")  # hosts that stand for every address of this machine
 
 
 def run_view(

@@ -56,10 +56,8 @@ class Panel {
     document.getElementById("panel").open = innerWidth > 600;
     document.title = `${this.title} – gsc-jax`; // not that of the client
     addEventListener("pointerdown", (event) => this.press(event), true);
-    if (software && this.input("count").options.length > 1) {
-      this.input("counts").hidden = false;
-      this.motion = new Motion(this, Number(this.input("count").options[0].value));
-    }
+    this.input("software").hidden = !software || this.count <= this.few;
+    if (!this.input("software").hidden) this.motion = new Motion(this);
     this.paint();
   }
 
@@ -168,6 +166,7 @@ class Panel {
     const facts = { row: this.rows[i].toLocaleString("en"), score: this.scores[i].toFixed(3),
       position: list(center(this.original, i).map((x) => x * this.unit)), scales: list(this.scales.subarray(3 * i, 3 * i + 3)),
       opacity: opacity(this.original, i).toFixed(2), colour: [word & 255, (word >> 8) & 255, (word >> 16) & 255].map((x) => (x / 255).toFixed(2)).join(", ") };
+    facts.traces = Object.keys(this.traces).filter((name) => this.traces[name].includes(i)).join(", ") || "none";
     const table = document.createElement("table");
     for (const [name, value] of Object.entries(facts)) {
       const line = table.insertRow();

@@ -63,7 +63,7 @@ def test_the_rates_of_the_outcomes_are_those_of_the_tables():
     assert tables.keys() == wording.COUNTS.keys()
     for basis, rows in tables.items():
         found = rows.verdict.map(outcome)
-        for name, counts in wording.COUNTS[basis].items():  # pyright: ignore[reportArgumentType]
+        for name, counts in wording.COUNTS[basis].items():
             kinds = (rows.edit.eq("none"), rows.edit.ne("none"))
             assert counts == tuple((found[kind] == name).sum() for kind in kinds)
 
@@ -100,7 +100,7 @@ def test_the_rates_are_those_of_what_the_run_used(tmp_path: Path):
 def test_a_trace_without_masks_is_said_to_decide():
     assert "stored values" in wording.meaning(0.99, basis="attributes", traced=True)
     for basis, traced in (("masks", True), ("masks and attributes", True), ("attributes", False)):
-        assert "In tests" in wording.meaning(0.99, basis=basis, traced=traced)  # pyright: ignore
+        assert "In tests" in wording.meaning(0.99, basis=basis, traced=traced)
 
 
 def test_numbers_are_rounded_to_bounds():

@@ -13,6 +13,8 @@ from gsc_jax.cli.viewer import contents as module
 from gsc_jax.cli.viewer import page as page_module
 from gsc_jax.cli.viewer.contents import viewer_contents
 from gsc_jax.cli.viewer.page import viewer_page
+from gsc_jax.forensics.evidence import forensic_evidence
+from gsc_jax.scene.gaussians import concatenate
 
 ALL = 10**6
 
@@ -52,6 +54,29 @@ def test_contents_are_those_of_the_results(results: Results):
     tampered = int(results.labels.sum())
     assert contents.sentences[0] == headline(0.97, tampered)
     assert contents.total == results.scene.total
+
+
+def test_traces_of_the_report_are_found_again(results: Results):
+    scene = results.scene
+    report = results.report | {"attributes": {"verdict": 0.9, "traces": {"row-order": "found"}}}
+    half = scene.gaussians.take(np.arange(600))
+    moved = dataclasses.replace(half, means=(np.asarray(half.means) + 3).astype(np.float32))
+    both = concatenate([scene.gaussians, moved])
+    rows = np.arange(len(both))
+    doubled = dataclasses.replace(
+        results,
+        report=report,
+        scene=dataclasses.replace(scene, gaussians=both, rows=rows),
+        tamper=np.zeros(len(both), np.float32),
+        labels=np.zeros(len(both), bool),
+    )
+    contents, _ = viewer_contents(doubled, most=ALL)
+    expected = {t.name: t.score > 0.5 for t in forensic_evidence(both).traces if t.found}
+    assert expected
+    assert contents.traces.keys() == expected.keys()
+    for name, has in expected.items():
+        np.testing.assert_array_equal(contents.traces[name], has[contents.rows])
+    assert viewer_contents(results, most=ALL)[0].traces == {}
 
 
 def test_omitted_gaussians_are_reported(results: Results):

@@ -26,6 +26,7 @@ Share = Annotated[float, Field(ge=0, le=1)]
 
 class _View(BaseModel):
     name: str
+    tampered_share: Share = 0
     width: Count
     height: Count
 
@@ -42,6 +43,10 @@ class _Counts(BaseModel):
     tampered: Count
 
 
+class _Attributes(BaseModel):
+    traces: dict[str, str] = {}
+
+
 class _Report(BaseModel):
     """The entries of result.json that are read again; it has others, too."""
 
@@ -50,7 +55,8 @@ class _Report(BaseModel):
     per_view: list[_View]
     tampered_share_of_views: Share
     verdict: Share | None = None
-    attributes: dict[str, Any] | None = None
+    attributes: _Attributes | None = None
+    judged_views: Count = 0
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -92,8 +98,11 @@ def read_results(folder: str | Path, *, max_bytes: int | None = None) -> Results
         raise InputError(f"{views_file}: expected a list of cameras; {AGAIN}")
     cameras = load_cameras(views_file, max_bytes=max_bytes)
     views = [(view["name"], view["width"], view["height"]) for view in report["per_view"]]
+    rows = scene.ply["vertex"].data
+    stored = rows["tamper"][scene.rows] if "tamper" in rows.dtype.names else np.zeros(0)
     for name, same in (
         ("tamper.ply", report["counts"]["gaussians"] == len(scene.rows)),
+        ("tamper.ply", np.array_equal(stored, tamper.astype(np.float32))),
         ("labels.npy", report["counts"]["tampered"] == np.count_nonzero(labels)),
         ("views.json", views == [(c.name, c.width, c.height) for c in cameras]),
     ):
@@ -134,7 +143,8 @@ def read_by_row(path: Path, total: int) -> np.ndarray:
 def _read_report(folder: Path) -> dict[str, Any]:
     path = result_file(folder, "result.json")
     if not path.exists():
-        found = "holds no results of gsc-jax locate" if folder.is_dir() else "no such folder"
+        found = "is a file, not a folder" if folder.is_file() else "no such folder"
+        found = "holds no results of gsc-jax locate" if folder.is_dir() else found
         raise InputError(f"{folder}: {found} (result.json); give the --out of a run")
     report = read_table(path, remedy=AGAIN)
     try:

@@ -16,7 +16,7 @@ from gsc_jax.cli.results import read_results
 from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.io.cameras import save_cameras
 from gsc_jax.io.masks import image_path, write_mask
-from gsc_jax.io.ply import save_ply
+from gsc_jax.io.ply import read_ply, save_ply, save_tampered
 from gsc_jax.render.orbit import orbit_cameras
 from gsc_jax.scene import InputError
 
@@ -107,6 +107,8 @@ class TestFolder:
 class TestRefusals:
     def test_folders_without_results(self, tmp_path):
         assert "no such folder" in refusal(tmp_path / "nothing")
+        (tmp_path / "file").write_text("")
+        assert "is a file, not a folder" in refusal(tmp_path / "file")
         assert "holds no results of gsc-jax locate" in refusal(tmp_path)
 
     @pytest.mark.parametrize("text", ["", "{", "[1, 2", "3", "[1]"])
@@ -158,6 +160,18 @@ class TestRefusals:
     def test_counts_of_another_run(self, folder):
         rewrite_report(folder, counts={"tampered": 500, "gaussians": 0})
         assert "tamper.ply: result.json is of a different run" in refusal(folder)
+
+    def test_scores_of_another_run_of_as_many_rows(self, folder):
+        scene, scores = read_ply(folder / "tamper.ply"), np.load(folder / "tamper.npy")
+        save_tampered(folder / "tamper.ply", scene, scores[scene.rows][::-1])
+        assert "tamper.ply: result.json is of a different run" in refusal(folder)
+        shutil.copy(folder / "scene.ply", folder / "tamper.ply")
+        assert "tamper.ply: result.json is of a different run" in refusal(folder)
+
+    @pytest.mark.parametrize("changes", [{"judged_views": -1}, {"attributes": {"traces": [1]}}])
+    def test_facts_that_the_viewer_states(self, folder, changes):
+        rewrite_report(folder, **changes)
+        assert refusal(folder).startswith(f"{folder / 'result.json'}: {next(iter(changes))}")
 
     @pytest.mark.parametrize("score", [np.nan, -0.1, 1e300])
     def test_scores_that_are_no_probabilities(self, folder, score):

@@ -85,7 +85,13 @@ def headline(verdict: float | None, tampered: int) -> str:
     return "No Gaussian is labelled as tampered."
 
 
-def meaning(verdict: float, *, basis: str, traced: bool = False) -> str:
+def basis(masks: object, attributes: object) -> str:
+    """What a scene probability rests on, of what there is: a key of `COUNTS`."""
+    used = (("masks", masks), ("attributes", attributes))
+    return " and ".join(name for name, there in used if there) or "masks"
+
+
+def meaning(verdict: float, *, basis: str, traced: object = False) -> str:
     """How often authentic and edited test scenes have this outcome, from masks, attributes or both.
 
     No test counts traces, on which a scene probability without masks rests where any is found.
@@ -163,13 +169,11 @@ def summary(located: Located, out: Path) -> list[str]:
     result, verdict, findings = located.result, located.result.verdict, [lead(located)]
     if verdict is not None:
         contradiction = conflict(result)
-        basis = "masks and attributes" if result.prior else "masks"
-        basis, traced = basis if result.probabilities else "attributes", bool(found_traces(result))
+        known = {"basis": basis(result.probabilities, result.prior), "traced": found_traces(result)}
         findings = [
             *([contradiction] if contradiction else []),
             f"{headline(verdict, int(result.labels.sum()))} {findings[0]}",
-            f"edited   {percent(verdict)} (scene probability). "
-            f"{meaning(verdict, basis=basis, traced=traced)}",
+            f"edited   {percent(verdict)} (scene probability). {meaning(verdict, **known)}",
         ]
     seconds = {name: stage["seconds"] for name, stage in result.stages.items()}
     slowest = sorted(seconds, key=seconds.__getitem__, reverse=True)[:3]

@@ -1,11 +1,12 @@
 """What the viewer shows of a folder of results."""
 
 import dataclasses
+from typing import NamedTuple
 
 import numpy as np
 
 from gsc_jax.cli.pictures import CANDIDATE, TINT
-from gsc_jax.cli.report.wording import are_candidates, headline, labels_sentence, percent
+from gsc_jax.cli.report import wording
 from gsc_jax.cli.results import Results
 from gsc_jax.cli.viewer.splats import Splats, by_importance, splats
 from gsc_jax.forensics.evidence import forensic_evidence
@@ -17,17 +18,8 @@ MIN_LEVEL = 0.2
 """Sine of the angle between view and vertical below which the up of the image is used instead."""
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Pose:
-    """A camera as viser places it: level with the scene, and looking at a point.
-
-    Attributes:
-        name: Name of the camera.
-        position: World units, shape (3,).
-        look_at: Point in the middle of the image at the median depth, shape (3,).
-        up: Unit up direction of the image, level with the scene if possible, shape (3,).
-        fov: Vertical field of view in radians.
-    """
+class Pose(NamedTuple):
+    """A camera as viser places it: world units, `up` of length 1, vertical `fov` in radians."""
 
     name: str
     position: np.ndarray
@@ -65,10 +57,9 @@ MAX_DEPTH_SAMPLES = 20_000
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Contents:
-    """What a viewer shows: N splats, the cameras of the run, of which it starts at the first.
+    """What a viewer shows: N splats, and the cameras of the run, first those that show most labels.
 
     Attributes:
-        title: Name of the folder of results.
         sentences: What the run found.
         score: Scores, shape (N,) float32.
         threshold: Score above which the run labelled a Gaussian as tampered.
@@ -77,7 +68,6 @@ class Contents:
         total: Rows of the scene file.
         traces: Which Gaussians have each trace that was found, by name, shape (N,) bool.
         up: Unit up direction, shape (3,).
-        near: Near plane in world units.
         far: Far plane: twice the diagonal of the box around all splats, cameras and their targets.
     """
 
@@ -104,7 +94,9 @@ def viewer_contents(results: Results, *, most: int) -> tuple[Contents, list[str]
     means = np.asarray(gaussians.means)
     sample = means[np.linspace(0, len(means) - 1, min(len(means), MAX_DEPTH_SAMPLES)).astype(int)]
     near, up = float(results.report["config"]["near"]), mean_up(results.cameras)
-    poses = [pose(camera, sample, up=up, near=near) for camera in results.cameras]
+    shares = [-view.get("tampered_share", 0) for view in results.report["per_view"]]
+    cameras = [results.cameras[k] for k in np.argsort(shares, kind="stable")]
+    poses = [pose(camera, sample, up=up, near=near) for camera in cameras]
     places = [place for pose in poses for place in (pose.position, pose.look_at)]
     contents = Contents(
         title=results.folder.resolve().name.encode(errors="replace").decode(),
@@ -112,7 +104,7 @@ def viewer_contents(results: Results, *, most: int) -> tuple[Contents, list[str]
         splats=chosen,
         score=results.tamper[rows],
         threshold=float(results.report["config"]["threshold"]),
-        tint=CANDIDATE if are_candidates(results.report.get("verdict")) else TINT,
+        tint=CANDIDATE if wording.are_candidates(results.report.get("verdict")) else TINT,
         rows=results.scene.rows[rows],
         total=results.scene.total,
         traces={name: has[rows] for name, has in _traces(results).items()},
@@ -134,11 +126,14 @@ def _sentences(results: Results) -> list[str]:
     report, verdict = results.report, results.report.get("verdict")
     tampered, views = report["counts"]["tampered"], len(report["per_view"])
     found = {"verdict": verdict, "views": views, "covered": report["tampered_share_of_views"]}
-    labels = labels_sentence(tampered, report["counts"]["gaussians"], **found)
+    labels = wording.labels_sentence(tampered, report["counts"]["gaussians"], **found)
     if verdict is None:
         return [labels]
-    probability = f"The scene probability of an edit is {percent(verdict)}."
-    return [headline(verdict, tampered), f"{labels} {probability}"]
+    attributes = report.get("attributes") or {}
+    traces, masks = attributes.get("traces", {}), report.get("judged_views")
+    meaning = wording.meaning(verdict, basis=wording.basis(masks, attributes), traced=traces)
+    reason = f"The scene probability of an edit is {wording.percent(verdict)}. {meaning}"
+    return [wording.headline(verdict, tampered), labels, reason, *traces.values()]
 
 
 def _omission(results: Results, rows: np.ndarray) -> list[str]:

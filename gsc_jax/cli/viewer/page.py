@@ -41,10 +41,7 @@ def _facts(contents: Contents, unit: float) -> dict:
         "few": IN_MOTION,
         "traces": {name: np.flatnonzero(has).tolist() for name, has in contents.traces.items()},
         "unit": unit,
-        "poses": [
-            {key: np.ravel(value).tolist() for key, value in vars(pose).items() if key != "name"}
-            for pose in contents.poses
-        ],
+        "poses": [[np.ravel(part).tolist() for part in pose[1:]] for pose in contents.poses],
         "tint": np.rint(255 * contents.tint).tolist(),
         "tint_strength": TINT_STRENGTH,
         "luma": np.asarray(LUMA, float).tolist(),

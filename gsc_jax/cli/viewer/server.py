@@ -11,6 +11,7 @@ import os
 import secrets
 import shutil
 import socket
+import sys
 import threading
 import webbrowser
 from collections.abc import Callable, Iterator
@@ -83,15 +84,21 @@ def write_page(path: Path, page: str) -> str:
 @contextlib.contextmanager
 def serving(page: str, scene: Path, *, token: str, host: str, port: int) -> Iterator[int]:
     """Serve a page and the scene file below `token` inside a block; another port if it is taken."""
-    family, *_, (address, *_) = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
-    ended = {"address_family": family, "handle_error": lambda *_: None}  # a browser goes away
-    kind = type("Server", (ThreadingHTTPServer,), ended)
     facts = {"page": page.encode(), "scene": scene, "token": token.encode()}
     handler = type("Handler", (_Handler,), {**facts, "log_message": lambda *_: None})
     try:
-        server = kind((str(address), port), handler)
-    except OSError:
-        server = kind((str(address), 0), handler)
+        family, *_, (address, *_) = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
+        ended = {"address_family": family, "handle_error": lambda *_: None}  # a browser goes away
+        kind = type("Server", (ThreadingHTTPServer,), ended)
+        try:
+            server = kind((str(address), port), handler)
+        except OSError:
+            server = kind((str(address), 0), handler)
+    except OSError as error:
+        raise InputError(
+            f"--host {host}: not an address of this machine ({error.strerror or error}); use "
+            "localhost, or 0.0.0.0 to allow other machines"
+        ) from error
     with server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         try:
@@ -131,23 +138,11 @@ def _check(options: View) -> None:
     try:
         import viser  # noqa: F401
     except ImportError as error:
-        raise InputError("view: needs viser: pip install 'gsc_jax[viewer]'") from error
+        raise InputError(f"view: needs viser: {sys.executable} -m pip install viser") from error
     if options.most < 1:
         raise InputError(f"--most {options.most}: expected at least one Gaussian")
-    if options.html is not None:
-        return
-    host, port = options.host, options.port
-    try:
-        family, kind, _, _, address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
-        with socket.socket(family, kind) as probe:
-            probe.bind(address)
-    except OSError as error:
-        raise InputError(
-            f"--host {host}: not an address of this machine ({error.strerror or error}); use "
-            "localhost, or 0.0.0.0 to allow other machines"
-        ) from error
-    if not 0 <= port < 65536:
-        raise InputError(f"--port {port}: expected a number from 0 to 65535")
+    if not 0 <= options.port < 65536:
+        raise InputError(f"--port {options.port}: expected a number from 0 to 65535")
 
 
 def _address_line(options: View, port: int, token: str) -> str:

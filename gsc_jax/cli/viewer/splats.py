@@ -22,12 +22,8 @@ TYPICAL_HALF, LARGEST_HALF = 0.1, 250.0
 class Splats:
     """N ellipsoids, NumPy float32.
 
-    Attributes:
-        centers: World units, shape (N, 3).
-        covariances: World units squared, shape (N, 3, 3).
-        rgbs: Colours in [0, 1], shape (N, 3).
-        opacities: In [0, 1], shape (N, 1).
-        scales: Standard deviations along the axes in world units, shape (N, 3).
+    Centers and standard deviations (`scales`) along the axes, (N, 3), are in world units; colours,
+    (N, 3), and opacities, (N, 1), in [0, 1]. Covariances have shape (N, 3, 3).
     """
 
     centers: np.ndarray

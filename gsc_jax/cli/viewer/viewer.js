@@ -80,7 +80,7 @@ class Panel {
       rgb = Array(3).fill(rgb.reduce((sum, value, k) => sum + this.luma[k] * value, 0));
       rgb = mixed(this.heat[Math.round(255 * this.scores[i])], 1 - GREY);
     }
-    const hidden = layer === (labelled ? "authentic only" : "tampered only");
+    const hidden = layer === (labelled ? "all but labelled" : "labelled only");
     return rgb[0] | (rgb[1] << 8) | (rgb[2] << 16) | (hidden ? 0 : (word >>> 24) << 24);
   }
 
@@ -103,13 +103,13 @@ class Panel {
   jump(step) {
     const camera = this.input("camera"), cameras = camera.options.length;
     camera.selectedIndex = (camera.selectedIndex + step + cameras) % cameras;
-    const pose = this.poses[camera.selectedIndex], initial = false;
+    const [position, look_at, up, [fov]] = this.poses[camera.selectedIndex], initial = false;
     this.motion?.wake();
     this.send(
-      { type: "SetCameraUpDirectionMessage", position: pose.up, initial },
-      { type: "SetCameraPositionMessage", position: pose.position, initial },
-      { type: "SetCameraLookAtMessage", look_at: pose.look_at, initial },
-      { type: "SetCameraFovMessage", fov: pose.fov[0], initial });
+      { type: "SetCameraUpDirectionMessage", position: up, initial },
+      { type: "SetCameraPositionMessage", position, initial },
+      { type: "SetCameraLookAtMessage", look_at, initial },
+      { type: "SetCameraFovMessage", fov, initial });
   }
 
   /** From units of viser's buffer to those of three.js. */
@@ -138,9 +138,8 @@ class Panel {
       marker.style = `left: ${from[0] + box.left}px; top: ${from[1] + box.top}px; width: ${to[0] - from[0]}px; height: ${to[1] - from[1]}px; border-radius: ${brush ? "50%" : 0}`;
       if (!brush && e.type === "pointermove") return;
       for (let i = 0; i < this.count; i++) {
-        const x = places[2 * i], y = places[2 * i + 1];
-        const inside = brush ? Math.hypot(x - end[0], y - end[1]) < BRUSH
-          : x >= from[0] && x <= to[0] && y >= from[1] && y <= to[1];
+        const place = [places[2 * i], places[2 * i + 1]];
+        const inside = brush ? Math.hypot(place[0] - end[0], place[1] - end[1]) < BRUSH : place.every((x, k) => x >= from[k] && x <= to[k]);
         if (inside && opacity(this.painted, i)) this.selected[i] = 1;
       }
     };

@@ -247,6 +247,8 @@ def test_without_a_graphics_card_few_gaussians_are_drawn_in_motion(shown, tmp_pa
         30, 0
     ).perform()
     assert shown.count() == 300
+    opacity = "return getComputedStyle(arguments[0]).opacity"
+    assert shown.browser.execute_script(opacity, canvas) == "1", "the client fades it in"
     few = blue(shown.picture())
     ActionChains(shown.browser).release().perform()
     shown.until(lambda _: shown.count() == total)
@@ -263,7 +265,7 @@ def test_on_a_phone_the_panel_is_closed_at_first(shown, written):
 def test_picture_follows_layer_and_threshold(page):
     assert red(page.picture()) > 0.005
     assert page.contents.sentences[0] in page.browser.find_element(By.ID, "panel").text
-    page.select("layer", "tampered only")
+    page.select("layer", "labelled only")
     page.becomes(only_ball_is_shown)
     page.input("threshold").send_keys(Keys.HOME)
     page.becomes(floor_is_shown)
@@ -271,7 +273,7 @@ def test_picture_follows_layer_and_threshold(page):
     page.becomes(lambda picture: red(picture) == 0)
     total = f"{len(page.contents.rows):,}"
     assert f"0 of {total} Gaussians" in page.input("above").text
-    page.select("layer", "authentic only")
+    page.select("layer", "all but labelled")
     page.becomes(lambda picture: red(picture) > 0.005 and blue(picture) > 0.05)
     page.select("layer", "heat map")
     page.becomes(lambda picture: shows_something(picture) and red(picture) < 0.001)
@@ -283,7 +285,7 @@ def test_cameras_are_selected_and_the_layer_stays(page):
     for button, index in (("next", 1), ("previous", 0), ("previous", 2)):
         page.input(button).click()
         page.shows_camera(index)
-    page.select("layer", "tampered only")
+    page.select("layer", "labelled only")
     page.becomes(only_ball_is_shown)
     before = page.picture()
     page.select("camera", page.contents.poses[1].name)

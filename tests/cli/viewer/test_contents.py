@@ -79,6 +79,31 @@ def test_traces_of_the_report_are_found_again(results: Results):
     assert viewer_contents(results, most=ALL)[0].traces == {}
 
 
+def test_it_starts_at_the_view_that_shows_most_of_what_is_labelled(results: Results):
+    views = [
+        view | {"tampered_share": share}
+        for view, share in zip(results.report["per_view"], (0.1, 0.3, 0.2), strict=True)
+    ]
+    shown = dataclasses.replace(results, report=results.report | {"per_view": views})
+    names = [pose.name for pose in viewer_contents(shown, most=ALL)[0].poses]
+    assert names == [views[k]["name"] for k in (1, 2, 0)]
+
+
+def test_the_page_has_the_reason_and_the_reservation(results: Results):
+    def sentences(**changes: object) -> str:
+        changed = dataclasses.replace(results, report=results.report | changes)
+        return " ".join(viewer_contents(changed, most=10)[0].sentences)
+
+    trace = {"quantisation": "5 of 9 Gaussians have colours off the values."}
+    traced = sentences(attributes={"traces": trace})
+    assert "rests on a trace in the stored values" in traced
+    assert trace["quantisation"] in traced
+    assert "In tests of attributes, in files" in sentences(attributes={"traces": {}})
+    both = sentences(attributes={"traces": {}}, judged_views=3)
+    assert "In tests of masks and attributes" in both
+    assert "In tests of simulated masks alone" in sentences(judged_views=3)
+
+
 def test_omitted_gaussians_are_reported(results: Results):
     contents, notes = viewer_contents(results, most=100)
     assert len(contents.splats.centers) == len(contents.score) == 100
@@ -124,7 +149,7 @@ def test_sentences_without_labels_and_without_scene_probability(results: Results
 def test_hostile_names_are_escaped_in_the_page(results: Results, monkeypatch: pytest.MonkeyPatch):
     contents, _ = viewer_contents(results, most=10)
     bad = "</script><b>&'\""
-    poses = [dataclasses.replace(pose, name=bad) for pose in contents.poses]
+    poses = [pose._replace(name=bad) for pose in contents.poses]
     contents = dataclasses.replace(contents, title=bad, sentences=[bad], poses=poses)
     client = "<html><body><script>scene</script></body></html>"
     monkeypatch.setattr(page_module, "_client", lambda *_: client)

@@ -127,5 +127,5 @@ class TestRunView:
 
     def test_missing_viser_names_the_extra(self, folder, monkeypatch):
         monkeypatch.setitem(sys.modules, "viser", None)
-        with pytest.raises(InputError, match=r"pip install 'gsc_jax\[viewer\]'"):
+        with pytest.raises(InputError, match=r"python\S* -m pip install viser"):
             run_view(view(folder))

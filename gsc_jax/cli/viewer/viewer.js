@@ -91,7 +91,7 @@ class Panel {
     for (let i = 0; i < this.count; i++) this.painted[WORDS * i + COLOUR] = this.rgba(i, layer, this.scores[i] > threshold);
     if (this.motion) this.motion.wake(true); else this.draw(this.count);
     this.input("value").textContent = number(threshold);
-    this.input("above").textContent = `${above.toLocaleString("en")} of ${this.count.toLocaleString("en")} Gaussians (${number((100 * above) / this.count)} %) score above it.`;
+    this.input("above").textContent = `${above.toLocaleString("en")} of ${this.count.toLocaleString("en")} Gaussians (${((100 * above) / this.count).toFixed(1)}%) score above it.`;
   }
 
   draw(count) {
@@ -132,6 +132,7 @@ class Panel {
     const places = placesOf(this.original, __viserMutable, this.matrix()), marker = this.input("drawn");
     const move = (e) => {
       const end = point(e), brush = drag === "brush";
+      const stroke = [...(e.getCoalescedEvents?.() ?? []), e].map(point); // since the last event
       const [from, to] = brush ? [end.map((x) => x - BRUSH), end.map((x) => x + BRUSH)]
         : [end.map((x, k) => Math.min(x, start[k])), end.map((x, k) => Math.max(x, start[k]))];
       marker.hidden = false;
@@ -139,7 +140,9 @@ class Panel {
       if (!brush && e.type === "pointermove") return;
       for (let i = 0; i < this.count; i++) {
         const place = [places[2 * i], places[2 * i + 1]];
-        const inside = brush ? Math.hypot(place[0] - end[0], place[1] - end[1]) < BRUSH : place.every((x, k) => x >= from[k] && x <= to[k]);
+        const inside = brush
+          ? stroke.some(([x, y]) => Math.hypot(place[0] - x, place[1] - y) < BRUSH)
+          : place.every((x, k) => x >= from[k] && x <= to[k]);
         if (inside && opacity(this.painted, i)) this.selected[i] = 1;
       }
     };

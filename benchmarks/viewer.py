@@ -89,7 +89,7 @@ def run(*argv: object) -> None:
 
 
 def seconds_of_frame(page: Path) -> np.ndarray:
-    """Longest time between two frames while the camera is dragged, and time until all are drawn."""
+    """Longest gap between frames in a drag, and seconds from its end until all are drawn."""
     for browser in opened(page.parent / "profile"):
         browser.set_script_timeout(120)
         browser.get(page.as_uri())

@@ -36,7 +36,7 @@ QUICK = "small room"
 OBJECTS = ("statue", "guitar", "plant")
 UNSEEN, UNSEEN_OBJECTS = ("hexbox", "seal"), ("kettle", "skull")
 """Real scenes and objects on which nothing was trained or tuned, with two exceptions: the traces
-"copy-move" and "quantisation" were mended after false alarms on these scenes."""
+"copy-move" and "quantisation" were corrected after they had named authentic Gaussians of them."""
 CUT = "cut from "
 HELDOUT_EVERY = 4
 """Every fourth camera of a real scene is held out for the metrics."""

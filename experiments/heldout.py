@@ -31,7 +31,7 @@ from gsc_jax.forensics.evidence import (
 )
 
 SEEDS = (FIRST_SEED + 1, FIRST_SEED + PROGRAM_SEEDS + 1)
-"""The first edits whole hosts, also as optimising editors do; the second parts of them, quickly."""
+"""With the first, whole hosts are edited, also by optimisation; with the second, parts of hosts."""
 ALARM = 0.5
 """Scene probability from which a scene is called edited."""
 KINDS: tuple[Kind, ...] = (*EDITS, NO_EDIT)

@@ -92,7 +92,7 @@ def basis(masks: object, attributes: object) -> str:
 
 
 def meaning(verdict: float, *, basis: str, traced: object = False) -> str:
-    """How often authentic and edited test scenes have this outcome, from masks, attributes or both.
+    """State how many authentic and edited test scenes had this outcome when judged by that basis.
 
     No test counts traces, on which a scene probability without masks rests where any is found.
     """

@@ -1,4 +1,4 @@
-"""What the viewer shows of a folder of results."""
+"""Collects what `gsc-jax view` shows: Gaussians, cameras, and the sentences of its panel."""
 
 import dataclasses
 from typing import NamedTuple
@@ -19,7 +19,7 @@ MIN_LEVEL = 0.2
 
 
 class Pose(NamedTuple):
-    """A camera as viser places it: world units, `up` of length 1, vertical `fov` in radians."""
+    """A camera in the terms of viser: world units, `up` of length 1, vertical `fov` in radians."""
 
     name: str
     position: np.ndarray
@@ -87,7 +87,7 @@ class Contents:
 
 
 def viewer_contents(results: Results, *, most: int) -> tuple[Contents, list[str]]:
-    """Contents with the `most` important Gaussians, the first of them first, and notes."""
+    """At most `most` Gaussians, the most important first, with all else to show; and notes."""
     gaussians = results.scene.gaussians
     rows = by_importance(gaussians, labelled=results.labels)[:most]
     chosen = splats(gaussians.take(rows))

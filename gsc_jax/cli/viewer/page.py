@@ -51,7 +51,7 @@ def _facts(contents: Contents, unit: float) -> dict:
 
 
 def _heat(count: int) -> list[list[int]]:
-    """Colours of the heat map from score 0 to 1, 0 to 255."""
+    """RGB colours of the heat map, 0 to 255, from score 0 to score 1."""
     return np.rint(255 * heat(np.linspace(0, 1, count))).astype(int).tolist()
 
 

@@ -1,4 +1,4 @@
-"""`gsc-jax view`: results of `locate` in 3D in a browser, as a page that is served or written.
+"""`gsc-jax view`: writes the 3D page of the results of `locate`, or serves it to a browser.
 
 The served page is the written one, beside the scene file that it exports parts of. It is sent only
 to who knows the random token in the address that `view` prints: other programs and web pages that
@@ -83,7 +83,7 @@ def write_page(path: Path, page: str) -> str:
 
 @contextlib.contextmanager
 def serving(page: str, scene: Path, *, token: str, host: str, port: int) -> Iterator[int]:
-    """Serve a page and the scene file below `token` inside a block; another port if it is taken."""
+    """Serve a page and a scene file below `token` in a block, at any port if `port` is taken."""
     facts = {"page": page.encode(), "scene": scene, "token": token.encode()}
     handler = type("Handler", (_Handler,), {**facts, "log_message": lambda *_: None})
     try:

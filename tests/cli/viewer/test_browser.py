@@ -318,7 +318,7 @@ def test_at_rest_all_are_drawn_in_the_order_of_their_depth(shown, tmp_path, monk
 
 
 def check_order(page: Shown) -> None:
-    """The splats are drawn in the order of their depth from the second camera."""
+    """Check that the Gaussians are drawn from back to front, as seen from the second camera."""
     order = page.browser.execute_script(ORDER)
     pose = page.contents.poses[1]
     viewmat = look_at(pose.position, pose.look_at, pose.up)

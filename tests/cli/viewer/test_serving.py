@@ -1,4 +1,4 @@
-"""Only requests with the token of the printed address are answered, with the page or the scene."""
+"""The server sends the page and the scene to those who know the printed address, else nothing."""
 
 import contextlib
 import http.client

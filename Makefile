@@ -54,6 +54,7 @@ bench: $(VENV)/installed
 	$(BIN)/python benchmarks/splat.py
 	$(BIN)/python benchmarks/pipeline.py
 	$(BIN)/python benchmarks/page.py
+	$(BIN)/python benchmarks/cores.py
 
 results: $(VENV)/installed-dev
 	$(BIN)/python experiments/captures.py

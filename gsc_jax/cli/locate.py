@@ -1,10 +1,13 @@
 """`gsc-jax locate`: from files to a folder of results; all input is checked first."""
 
+import contextlib
 import dataclasses
 import hashlib
+import json
 import tempfile
 import uuid
 from importlib.metadata import distributions
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -122,6 +125,16 @@ def _identity(inputs: Inputs) -> str:
     return digest.hexdigest()
 
 
+def replaced(out: Path) -> str | None:
+    """Which results a run replaces in its folder; None if it holds none."""
+    path = out / "result.json"
+    if not path.exists():
+        return None
+    with contextlib.suppress(OSError, ValueError, TypeError, KeyError):
+        return f"replaces the results of {json.loads(path.read_bytes())['command']['scene']}"
+    return "replaces results"
+
+
 def dry_run(options: Locate, *, monitor: Monitor) -> tuple[list[str], list[str]]:
     """Describe a run of `locate`, of which nothing is computed: lines to print, and warnings."""
     existing = next(p for p in (options.out, *options.out.absolute().parents) if p.exists())
@@ -133,14 +146,13 @@ def dry_run(options: Locate, *, monitor: Monitor) -> tuple[list[str], list[str]]
     sizes = [(camera.width, camera.height) for camera in inputs.cameras]
     pixels = " to ".join(f"{w} x {h}" for w, h in dict.fromkeys((min(sizes), max(sizes))))
     origin = options.cameras or "cameras that were placed around the scene"
-    results = "replaces results" if (options.out / "result.json").exists() else "new results"
     return [
         f"Dry run: nothing was written to {options.out}.",
         f"scene    {options.scene}: {len(inputs.scene.gaussians):,} Gaussians",
         f"views    {len(sizes)} of {pixels} pixels, from {origin}",
         *(f"evidence {source}" for source in _evidence(inputs)),
         *(f"config   {name} = {value}" for name, value in config.items()),
-        f"writes   {options.out}: {results}",
+        f"writes   {options.out}: {replaced(options.out) or 'new results'}",
     ], inputs.warnings
 
 

@@ -108,6 +108,7 @@ def _numbers(command: dict[str, Any], located: Located) -> dict[str, Any]:
             "unseen": len(scene.rows) - seen,
             "tampered": int(result.labels.sum()),
         },
+        "contrasts": located.contrasts,
         "views": len(result.masks),
         "judged_views": len(result.probabilities),
         "early_stopping": stopping and {**dataclasses.asdict(stopping), "reason": stopping.reason},

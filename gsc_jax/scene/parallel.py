@@ -23,9 +23,9 @@ def usable_cores() -> list[int]:
     return sorted(affinity(0)) if affinity else list(range(os.cpu_count() or 1))
 
 
-def workers() -> int:
-    """Threads for a device: one for each core while NumPy and XLA compute, at most two."""
-    return min(2, len(usable_cores()))
+def workers(devices: int = 1) -> int:
+    """Threads: one for each core, since NumPy and XLA use few at once, at most eight a device."""
+    return max(devices, min(8 * devices, len(usable_cores())))
 
 
 def view_threads() -> ThreadPoolExecutor:
@@ -36,17 +36,18 @@ def view_threads() -> ThreadPoolExecutor:
         if jax.local_device_count() > 1:  # with one, programs are shared with the main thread
             jax.default_device(next(devices)).__enter__()  # it ends with the thread
 
-    return ThreadPoolExecutor(workers() * jax.local_device_count(), initializer=start)
+    return ThreadPoolExecutor(workers(jax.local_device_count()), initializer=start)
 
 
 def bounded_map(
     pool: Executor, function: Callable[[Item], Value], items: Iterable[Item]
 ) -> Iterator[Value]:
-    """Map in the threads of a pool, in order, with at most `workers` items a device in flight."""
+    """Map in the threads of a pool, in order, with at most one item for each of `workers`."""
+    most = workers(jax.local_device_count())
     waiting: deque[Future[Value]] = deque()
     for item in items:
         waiting.append(pool.submit(function, item))
-        if len(waiting) == workers() * jax.local_device_count():
+        if len(waiting) == most:
             yield waiting.popleft().result()
     while waiting:
         yield waiting.popleft().result()

@@ -49,6 +49,7 @@ def report_page(
         candidates=counts["tampered"] > 0 and wording.are_candidates(report["verdict"]),
         conflict=wording.conflict(result),
         lead=wording.lead(located),
+        differences=wording.differences(located.contrasts),
         traces=sorted(getattr(result.prior, "traces", ()), key=lambda trace: not trace.found),
         views=sorted(
             zip(range(len(views)), views, images, strict=True),

@@ -1,11 +1,14 @@
 """A finished run of `locate`, and sentences about results for terminal, report and viewer."""
 
 import dataclasses
+import functools
 from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from gsc_jax.estimators.protocol import Outcome, Reliability, outcome
+from gsc_jax.forensics.contrast import contrasts
 from gsc_jax.forensics.traces import Trace
 from gsc_jax.io.ply import PlyScene
 from gsc_jax.locate import Result
@@ -29,6 +32,11 @@ class Located:
     visible_share: float
     inputs: dict[str, dict[str, Any]] = dataclasses.field(default_factory=dict)
 
+    @functools.cached_property
+    def contrasts(self) -> dict[str, float]:
+        """How the labelled Gaussians differ from those around them; see `contrasts`."""
+        return contrasts(self.scene.gaussians, self.result.labels)
+
 
 RELIABILITY: dict[Reliability, tuple[str, str, str]] = {
     "reliable": ("●", "reliable", "The view shows the edit, and the mask flags most of it."),
@@ -45,6 +53,17 @@ TRACES = {
     "quaternion-convention": "Rotations in another convention were written by another program.",
 }
 """Why each trace is evidence of an edit."""
+CONTRASTS = {
+    "size": ("larger", "smaller"),
+    "flatness": ("flatter", "rounder"),
+    "opacity": ("more opaque", "more transparent"),
+    "brightness": ("brighter", "darker"),
+    "saturation": ("more colourful", "greyer"),
+    "gloss": ("glossier", "less glossy"),
+}
+"""What Gaussians with more and with less of a property are called."""
+MIN_CONTRAST = 0.7
+"""Share of pairs from which a difference is stated."""
 HEADLINES: dict[Outcome, str] = {
     "evidence": "Evidence of editing.",
     "inconclusive": "Inconclusive: it is unclear whether this scene was edited.",
@@ -126,6 +145,21 @@ def conflict(result: Result) -> str | None:
     )
 
 
+def differences(shares: Mapping[str, float]) -> str | None:
+    """State the three largest `contrasts` of labelled Gaussians; None if nothing is known."""
+    if not shares:
+        return None
+    found = {CONTRASTS[name][s < 0.5]: max(s, 1 - s) for name, s in shares.items()}
+    largest = sorted(found, key=found.__getitem__, reverse=True)[:3]
+    stated = [f"{word} ({percent(found[word])})" for word in largest if found[word] >= MIN_CONTRAST]
+    if not stated:
+        return f"They hardly differ from the Gaussians around them in {', '.join(CONTRASTS)}."
+    return (
+        f"Compared with the Gaussians around them, in most pairs they are {', '.join(stated)}; "
+        "parts that nobody edited may differ as much."
+    )
+
+
 def labels_sentence(
     tampered: int, total: int, *, verdict: float | None, views: int, covered: float
 ) -> str:
@@ -178,6 +212,7 @@ def summary(located: Located, out: Path) -> list[str]:
     seconds = {name: stage["seconds"] for name, stage in result.stages.items()}
     slowest = sorted(seconds, key=seconds.__getitem__, reverse=True)[:3]
     times = ", ".join(f"{name} {seconds[name]:.1f} s" for name in slowest)
+    beside = differences(located.contrasts)
     counts = Counter(result.reliability.values())
     kinds = [f"{counts[key]} {name}" for key, (_, name, _) in RELIABILITY.items() if counts[key]]
     views = views_sentence(result)
@@ -185,6 +220,7 @@ def summary(located: Located, out: Path) -> list[str]:
         *findings,
         *([f"masks    {', '.join(kinds)}"] if kinds else []),
         *([f"views    {views}"] if views else []),
+        *([f"beside   {beside}"] if beside else []),
         *(f"trace    {trace.explanation}" for trace in found_traces(result)),
         f"method   {result.method}",
         f"time     {result.seconds:.1f} s (most work: {times})",

@@ -5,10 +5,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gsc_jax.cli.pictures import CANDIDATE, TINT
 from gsc_jax.cli.report import wording
 from gsc_jax.cli.results import Results
 from gsc_jax.cli.viewer.splats import Splats, by_importance, splats
+from gsc_jax.forensics.contrast import contrasts
 from gsc_jax.forensics.evidence import forensic_evidence
 from gsc_jax.render.orbit import mean_up
 from gsc_jax.render.projection import NEAR
@@ -63,7 +63,7 @@ class Contents:
         sentences: What the run found.
         score: Scores, shape (N,) float32.
         threshold: Score above which the run labelled a Gaussian as tampered.
-        tint: Colour of the labelled Gaussians, shape (3,).
+        candidates: Whether what is labelled are candidates only.
         rows: Rows of the splats in the scene file, shape (N,) int64.
         total: Rows of the scene file.
         traces: Which Gaussians have each trace that was found, by name, shape (N,) bool.
@@ -76,7 +76,7 @@ class Contents:
     splats: Splats
     score: np.ndarray
     threshold: float
-    tint: np.ndarray
+    candidates: bool
     rows: np.ndarray
     total: int
     traces: dict[str, np.ndarray]
@@ -104,7 +104,7 @@ def viewer_contents(results: Results, *, most: int) -> tuple[Contents, list[str]
         splats=chosen,
         score=results.tamper[rows],
         threshold=float(results.report["config"]["threshold"]),
-        tint=CANDIDATE if wording.are_candidates(results.report.get("verdict")) else TINT,
+        candidates=wording.are_candidates(results.report.get("verdict")),
         rows=results.scene.rows[rows],
         total=results.scene.total,
         traces={name: has[rows] for name, has in _traces(results).items()},
@@ -127,6 +127,8 @@ def _sentences(results: Results) -> list[str]:
     tampered, views = report["counts"]["tampered"], len(report["per_view"])
     found = {"verdict": verdict, "views": views, "covered": report["tampered_share_of_views"]}
     labels = wording.labels_sentence(tampered, report["counts"]["gaussians"], **found)
+    beside = wording.differences(contrasts(results.scene.gaussians, results.labels))
+    labels = f"{labels} {beside}" if beside else labels
     if verdict is None:
         return [labels]
     attributes = report.get("attributes") or {}
@@ -141,6 +143,6 @@ def _omission(results: Results, rows: np.ndarray) -> list[str]:
     tampered = int(results.labels.sum() - results.labels[rows].sum())
     note = (
         f"shows {len(rows):,} of {len(results.labels):,} Gaussians, those of largest opacity times "
-        f"area; {tampered:,} of the {omitted:,} omitted are tampered; --most N shows more"
+        f"area; {tampered:,} of the {omitted:,} omitted are labelled; --most N shows more"
     )
     return [note] if omitted else []

@@ -6,7 +6,7 @@ from importlib.resources import files
 
 import numpy as np
 
-from gsc_jax.cli.pictures import TINT_STRENGTH
+from gsc_jax.cli.pictures import CANDIDATE, TINT, TINT_STRENGTH
 from gsc_jax.cli.viewer.contents import Contents
 from gsc_jax.cli.viewer.splats import add_splats, half_precision_unit, heat
 from gsc_jax.io.ply import LUMA
@@ -26,6 +26,7 @@ def viewer_page(contents: Contents) -> str:
     return page.render(
         contents=contents,
         few=IN_MOTION,
+        tint=f"rgb{tuple(_tint(contents))}",
         gradient=", ".join(f"rgb{tuple(colour)}" for colour in _heat(9)),
         data={"facts": _facts(contents, unit), "client": _client(contents, unit)},
         script="\n".join(sources[1:]),
@@ -42,12 +43,17 @@ def _facts(contents: Contents, unit: float) -> dict:
         "traces": {name: np.flatnonzero(has).tolist() for name, has in contents.traces.items()},
         "unit": unit,
         "poses": [[np.ravel(part).tolist() for part in pose[1:]] for pose in contents.poses],
-        "tint": np.rint(255 * contents.tint).tolist(),
+        "tint": _tint(contents),
         "tint_strength": TINT_STRENGTH,
         "luma": np.asarray(LUMA, float).tolist(),
         "heat": _heat(256),
         "arrays": [base64.b64encode(x.tobytes()).decode() for x in arrays],
     }
+
+
+def _tint(contents: Contents) -> list[int]:
+    """Colour of the labelled Gaussians, 0 to 255."""
+    return np.rint(255 * (CANDIDATE if contents.candidates else TINT)).astype(int).tolist()
 
 
 def _heat(count: int) -> list[list[int]]:

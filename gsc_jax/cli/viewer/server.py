@@ -139,6 +139,9 @@ def _check(options: View) -> None:
         import viser  # noqa: F401
     except ImportError as error:
         raise InputError(f"view: needs viser: {sys.executable} -m pip install viser") from error
+    page = options.html
+    if page is not None and not page.is_dir() and page.suffix.lower() not in (".html", ".htm"):
+        raise InputError(f"--html {page}: a browser opens it only if its name ends with .html")
     if options.most < 1:
         raise InputError(f"--most {options.most}: expected at least one Gaussian")
     if not 0 <= options.port < 65536:

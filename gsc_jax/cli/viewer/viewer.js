@@ -178,6 +178,10 @@ class Panel {
   }
 
   async export() {
+    if (this.input("part").value.endsWith("selected") && !this.selected.includes(1)) {
+      this.say("No Gaussian is selected; drag a box with Shift, or choose the brush.");
+      return;
+    }
     // A page that is opened from a file may read no other.
     const answer = location.protocol === "file:" ? null : await fetch("tamper.ply").catch(() => null);
     const content = answer?.ok ? await answer.blob().catch(() => null) : null;

@@ -4,6 +4,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import hypothesis.strategies as st
+import numpy as np
 import pytest
 from hypothesis import example, given
 from reports import run
@@ -12,6 +13,7 @@ from tables import read_csv
 
 from gsc_jax.cli.report import wording
 from gsc_jax.estimators.protocol import EVIDENCE_FROM, outcome
+from gsc_jax.forensics.contrast import contrasts
 from gsc_jax.forensics.evidence import forensic_evidence
 
 NAMES = [f"view {i:02}" for i in range(8)]
@@ -132,3 +134,19 @@ def test_labels_are_candidates_without_evidence_of_editing():
 def test_every_trace_has_an_explanation():
     traces = forensic_evidence(random_scene(50)).traces
     assert {trace.name for trace in traces} == set(wording.TRACES)
+
+
+def test_the_largest_differences_are_stated_and_no_small_ones():
+    shares = dict.fromkeys(wording.CONTRASTS, 0.5)
+    assert wording.differences({}) is None
+    assert "hardly differ" in str(wording.differences(shares))
+    shares |= {"size": 0.02, "opacity": 0.8, "brightness": 0.71, "gloss": 0.29, "flatness": 0.69}
+    stated = str(wording.differences(shares))
+    assert "smaller (98%), more opaque (80%)," in stated
+    assert "rounder" not in stated
+    assert stated.count("%") == 3
+
+
+def test_every_contrast_has_words():
+    labels = np.arange(400) < 200
+    assert contrasts(random_scene(400), labels).keys() == wording.CONTRASTS.keys()

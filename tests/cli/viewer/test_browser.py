@@ -427,6 +427,10 @@ def test_exports_are_rows_of_the_file_with_all_properties(page, tmp_path):
         assert written.tobytes() == whole[expected].tobytes()
     page.input("clear").click()
     page.select("part", "only selected")
+    page.input("export").click()
+    page.until(lambda _: "No Gaussian is selected" in page.message())
+    page.browser.execute_script("view.input('threshold').value = 1")
+    page.select("part", "only labelled")
     page.export()
     page.until(lambda _: "No Gaussian was chosen" in page.message())
 

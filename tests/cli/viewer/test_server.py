@@ -105,6 +105,7 @@ class TestRunView:
             ({"host": "no.such.host.invalid"}, "--host no.such.host.invalid"),
             ({"host": "192.0.2.1"}, "--host 192.0.2.1"),
             ({"folder": Path("nothing")}, "nothing"),
+            ({"html": Path("page.txt")}, r"page\.txt: .* ends with \.html"),
         ],
     )
     def test_invalid_options_are_rejected(self, folder, changes, message):

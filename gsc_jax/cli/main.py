@@ -177,8 +177,8 @@ def _answer(command: Command, monitor: Monitor) -> tuple[list[str], list[str]]:
         case Locate() if not isinstance(command, Scan) and not command.dry_run:
             before = replaced(command.out)
             located = run_locate(command, monitor=monitor)
-            lines = summary(located, command.out)
-            return [*lines, *([f"writes   {before}"] if before else [])], located.result.warnings
+            more = [f"writes   {command.out}: {before}"] if before else []
+            return [*summary(located, command.out), *more], located.result.warnings
     runs = {Demo: run_demo, Render: run_render, Tamper: run_tamper, Scan: run_scan, Locate: dry_run}
     return runs[type(command)](command, monitor=monitor)
 

@@ -167,16 +167,10 @@ def grow_region(
     *,
     contrast: float = 0.0,
 ) -> Region:
-    """Grow a region from the row `seed` until it covers a share of the pixels.
+    """Grow a region from the row `seed` until it covers `size`, a median share of the pixels.
 
-    Args:
-        gaussians: N Gaussians.
-        visibility: Visibility of these Gaussians from the cameras.
-        seed: Row of the first Gaussian.
-        size: Median share of the pixels in the views that see the region; the region is smaller if
-            the connected part of the graph is.
-        contrast: Weight of colour differences, which makes regions end at the edges of objects: an
-            edge of the graph has its length times (1 + contrast * difference in RGB).
+    It is smaller if the connected part of the graph is. A `contrast` makes it end at the edges of
+    objects: an edge of the graph has its length times (1 + contrast * difference in RGB).
     """
     means = np.asarray(gaussians.means, np.float64)
     usable = np.flatnonzero(usable_rows(gaussians))

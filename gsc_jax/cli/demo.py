@@ -4,6 +4,7 @@ All input and output goes through files and through the code of `gsc-jax locate`
 detector has all failures at once (`mixture`): single masks are then of little use.
 """
 
+import functools
 import sys
 import textwrap
 from collections.abc import Mapping, Sequence
@@ -69,7 +70,10 @@ def run_demo(
     made = made or tampered_room(seed=options.seed)
     case = _made_input(given, made, options.seed, monitor)
     results = {name: _locate(given, name, options, monitor) for name in RUNS}
-    found = {name: _heldout_masks(case.made, result) for name, result in results.items()}
+    found: dict[str, Views] = {}
+    for name, result in results.items():
+        mask = functools.partial(view_mask, scored=result, rule=result.estimator.mask_rule)
+        found[name] = {camera.name: mask(made.gaussians, camera) for camera in made.heldout_cameras}
     _write_picture(options.out / "heldout.png", case, found)
     return [
         *_introduction(case),
@@ -113,13 +117,6 @@ def _locate(given: Path, name: str, options: Demo, monitor: Monitor) -> Result:
         seed=options.seed,
     )
     return run_locate(command, monitor=Monitor(progress=monitor.progress)).result
-
-
-def _heldout_masks(made: MadeScene, result: Result) -> Views:
-    return {
-        camera.name: view_mask(made.gaussians, camera, result, rule=result.estimator.mask_rule)
-        for camera in made.heldout_cameras
-    }
 
 
 def _introduction(case: Case) -> list[str]:

@@ -55,15 +55,9 @@ def replacing(
 ) -> Iterator[Path]:
     """Provide a temporary folder whose files are moved to `out` if the block succeeds.
 
-    Args:
-        out: The folder of results, created if missing.
-        report: The file whose `outputs` get a digest of every file; it is moved last of all.
-        identity: Of the arrays that the run keeps in `views_of` the provided folder. If the block
-            fails, they stay there for the next run of the same identity.
-
-    Raises:
-        InputError: if `out` cannot be written to, another run is writing to it, a folder exists
-            where a file belongs, or a folder inside it is a link.
+    The `outputs` of the `report`, which is moved last, get a digest of every file. Arrays in the
+    folder `views_of` stay for the next run of the same `identity` if the block fails. InputError if
+    `out` cannot be written to, another run writes to it, or a folder or link is in the way.
     """
     work = out / UNFINISHED
     ownership.refuse_links(out, [work, *work.rglob("*")])

@@ -19,18 +19,12 @@ LISTS = (".txt", ".lst", ".list")
 
 
 def read_manifest(source: Path) -> list[Entry]:
-    """List the scenes of a source.
+    """List the scenes of a source, sorted by id for a folder and a glob.
 
-    Args:
-        source: A folder, searched to any depth; a glob; a text file with a path or address per
-            line; or a .csv or .parquet with a column `path`, optionally `id`, `cameras` and
-            `masks`, and any others. Relative paths are relative to the manifest.
-
-    Returns:
-        An entry per scene, sorted by id for a folder and a glob.
-
-    Raises:
-        InputError: if there is no scene, two have one id, or a manifest cannot be read.
+    A source is a folder, searched to any depth; a glob; a text file with a path or address per
+    line; or a .csv or .parquet with a column `path`, optionally `id`, `cameras` and `masks`, and
+    any others. Relative paths are relative to the manifest. InputError if there is no scene, two
+    have one id, or a manifest cannot be read.
     """
     suffix = source.suffix.lower()
     if source.is_dir():

@@ -64,18 +64,10 @@ class SafireDetector(NetworkDetector):
         providers: Sequence[str] = CPU,
         threads: int = 0,
     ):
-        """Load the two networks and check their inputs and outputs.
+        """Load the two networks from a folder or two files, as by `open_session`.
 
-        Args:
-            folder_or_encoder: A folder with encoder.onnx and decoder.onnx, or the encoder.
-            decoder: The decoder; None if a folder is given.
-            grid: Prompts per side of the image, at least 2.
-            seed: Seed of the clustering of the masks.
-            providers: See `open_session`.
-            threads: Threads of one inference, 0 for all cores.
-
-        Raises:
-            InputError: If a file is not a valid model, or its tensors differ from those above.
+        The `grid` is the number of prompts per side of the image, at least 2, and the `seed` that
+        of the clustering of the masks. InputError if the tensors differ from those above.
         """
         if not (isinstance(grid, int) and grid >= 2):
             raise InputError(f"SAFIRE: grid is {grid!r}, expected 2 or more points per side")

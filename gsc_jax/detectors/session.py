@@ -28,15 +28,9 @@ def open_session(
 ) -> "InferenceSession":
     """Load an ONNX model; its session prints nothing.
 
-    Args:
-        path: The .onnx file.
-        providers: Execution providers of onnxruntime in order of preference, by full or short name
-            ("cuda"). The CPU runs the operations that they lack.
-        threads: Threads of one inference, 0 for all cores.
-
-    Raises:
-        InputError: If the file is not a valid model, has external tensors outside its folder, or
-            does not run with the providers.
+    The execution providers are in order of preference, by full or short name ("cuda"); the CPU runs
+    the operations that they lack. An inference has `threads`, 0 for all cores. InputError if the
+    model is not valid, has tensors outside its folder, or does not run with the providers.
     """
     import onnxruntime as ort
 

@@ -18,17 +18,11 @@ UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
 def one_line(
     error: pydantic.ValidationError, where: str, given: Any, *, known: Iterable[str] = ()
 ) -> str:
-    """Describe the first invalid key of a validated table.
+    """Describe the first invalid key of the `given` value for which pydantic raised an error.
 
-    Args:
-        error: The error that pydantic raised for `given`.
-        where: The file, and the table in it if there are several: "net.toml".
-        given: The validated value, in which the key is located.
-        known: All valid keys, to suggest one for a misspelled key.
-
-    Returns:
-        "net.toml: size: expected greater than 0, found 0", or "net.toml: unknown key 'sise' (did
-        you mean 'size'?)". If the value fits none of several types, the line names all of them.
+    "net.toml: size: expected greater than 0, found 0", or "net.toml: unknown key 'sise' (did you
+    mean 'size'?)", which suggests one of the `known` keys. `where` is the file, and the table in it
+    if there are several. If the value fits none of several types, the line names all of them.
     """
     problems = error.errors(include_url=False)
     first = problems[0]

@@ -93,13 +93,17 @@ def rotate(sh: Array, rotation: Array) -> jax.Array:
     A rotation mixes only harmonics of the same band, so a least-squares fit to the values of the
     basis in sufficiently many directions gives the mixing matrix exactly.
     """
-    degree = round(sh.shape[1] ** 0.5) - 1
-    points = np.arange(64)  # evenly over the sphere, on a golden spiral
-    height, turn = 1 - (2 * points + 1) / len(points), np.pi * (3 - np.sqrt(5)) * points
-    ring = np.sqrt(1 - height**2)
-    directions = np.stack([ring * np.cos(turn), ring * np.sin(turn), height], axis=-1)
+    degree, directions = round(sh.shape[1] ** 0.5) - 1, even_directions(64)
     old = basis(jnp.asarray(directions @ np.asarray(rotation), jnp.float32), degree)
     new = basis(jnp.asarray(directions, jnp.float32), degree)
     mixing = np.linalg.lstsq(np.asarray(new, np.float64), np.asarray(old, np.float64))[0]
     rotated = np.einsum("kl,nlc->nkc", mixing, np.asarray(sh, np.float64))
     return jnp.asarray(rotated, jnp.float32)
+
+
+def even_directions(count: int) -> np.ndarray:
+    """Unit vectors on a golden spiral, shape (count, 3)."""
+    places = np.arange(count) + 0.5
+    z, angles = 1 - 2 * places / count, np.pi * (1 + np.sqrt(5)) * places
+    radii = np.sqrt(1 - z**2)
+    return np.stack([radii * np.cos(angles), radii * np.sin(angles), z], axis=1)

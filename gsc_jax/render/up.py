@@ -11,6 +11,7 @@ import contextlib
 import numpy as np
 
 from gsc_jax.render.orbit import DEFAULT_UP
+from gsc_jax.render.spherical_harmonics import even_directions
 from gsc_jax.scene import Gaussians, InputError
 from gsc_jax.scene.gaussians import rotation_matrices
 
@@ -52,7 +53,7 @@ def estimated_up(gaussians: Gaussians) -> np.ndarray:
     if len(rows) < MIN_GAUSSIANS:
         return DEFAULT_UP.copy()
     means, normals, areas = _surfels(gaussians.take(rows))
-    candidates = np.concatenate([list(AXES.values()), _even_directions(DIRECTIONS)])
+    candidates = np.concatenate([list(AXES.values()), even_directions(DIRECTIONS)])
     floors = np.array([_floor(means, normals, areas, up) for up in candidates])
     best = candidates[np.argmax(floors)]
     apart = candidates @ best < np.sqrt(0.5)
@@ -87,11 +88,3 @@ def _is_wide(means: np.ndarray, up: np.ndarray) -> bool:
     _, axes = np.linalg.eigh(np.cov(across.T))
     sides = np.ptp(np.percentile(across @ axes, [2, 98], axis=0), axis=0)
     return bool(sides.max() < MAX_ASPECT * sides.min())
-
-
-def _even_directions(count: int) -> np.ndarray:
-    """Unit vectors on a golden spiral, shape (count, 3)."""
-    places = np.arange(count) + 0.5
-    z, angles = 1 - 2 * places / count, np.pi * (1 + np.sqrt(5)) * places
-    radii = np.sqrt(1 - z**2)
-    return np.stack([radii * np.cos(angles), radii * np.sin(angles), z], axis=1)

@@ -8,7 +8,7 @@ import numpy as np
 
 from gsc_jax.cli.pictures import CANDIDATE, TINT, TINT_STRENGTH
 from gsc_jax.cli.viewer.contents import Contents
-from gsc_jax.cli.viewer.splats import add_splats, half_precision_unit, heat
+from gsc_jax.cli.viewer.splats import add_splats, half_precision_unit
 from gsc_jax.io.ply import LUMA
 
 IN_MOTION = 10_000
@@ -57,8 +57,11 @@ def _tint(contents: Contents) -> list[int]:
 
 
 def _heat(count: int) -> list[list[int]]:
-    """RGB colours of the heat map, 0 to 255, from score 0 to score 1."""
-    return np.rint(255 * heat(np.linspace(0, 1, count))).astype(int).tolist()
+    """RGB colours of the heat map, 0 to 255, from score 0 to score 1, which is lighter."""
+    from matplotlib import colormaps
+
+    # Perceptually uniform, also for colour-blind readers.
+    return np.rint(255 * colormaps["viridis"](np.linspace(0, 1, count))[:, :3]).astype(int).tolist()
 
 
 def _client(contents: Contents, unit: float) -> str:

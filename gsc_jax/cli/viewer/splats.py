@@ -6,14 +6,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gsc_jax.render.spherical_harmonics import Y0
-from gsc_jax.scene import Array, Gaussians
+from gsc_jax.scene import Gaussians
 from gsc_jax.scene.gaussians import rotation_matrices
 
 if TYPE_CHECKING:
     import viser
 
-COLORMAP = "viridis"
-"""Perceptually uniform, also for colour-blind readers."""
 TYPICAL_HALF, LARGEST_HALF = 0.1, 250.0
 """Typical and largest standard deviation whose square fits float16, in which viser stores it."""
 
@@ -58,13 +56,6 @@ def by_importance(splats: Gaussians, *, labelled: np.ndarray) -> np.ndarray:
     first = (labelled & (sizes > 0))[order]
     turn = np.where(first, np.cumsum(first), np.cumsum(~first) - 0.5)
     return order[np.argsort(turn, kind="stable")]
-
-
-def heat(score: Array) -> np.ndarray:
-    """Colours of scores in [0, 1], shape (N, 3) float32 in [0, 1], lighter for higher scores."""
-    from matplotlib import colormaps
-
-    return colormaps[COLORMAP](np.asarray(score, np.float64))[:, :3].astype(np.float32)
 
 
 def half_precision_unit(splats: Splats) -> float:

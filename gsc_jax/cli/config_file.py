@@ -22,7 +22,7 @@ from gsc_jax.estimators import METHODS, Method
 from gsc_jax.estimators.protocol import Estimator
 from gsc_jax.io.files import existing_file
 from gsc_jax.io.tables import PARSERS, read_table
-from gsc_jax.io.validation import one_line, shown
+from gsc_jax.io.validation import naming, one_line, shown
 from gsc_jax.scene import InputError
 
 Table = dict[str, Any]
@@ -86,12 +86,10 @@ def read_config_file(path: str | Path) -> ConfigFile:
         config.pop("tolerance", None)  # 0 in a result.json, as it follows from the options
     _refuse_contradictions(path, command, config)
     _refuse_escapes(path, command)
-    try:
+    with naming(f"{path}: config", errors=ValueError):
         if report:
             _reopen_schedule(base, config, content.get("judged_views"))
         estimator = replaced(base, config)
-    except ValueError as error:
-        raise InputError(f"{path}: config: {error}") from error
     return ConfigFile(method=method, command=command, estimator=estimator)
 
 

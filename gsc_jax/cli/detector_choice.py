@@ -16,6 +16,7 @@ from gsc_jax.estimators import METHODS
 from gsc_jax.estimators.protocol import Estimator
 from gsc_jax.evidence.detector import Detector
 from gsc_jax.io.files import memory_limit
+from gsc_jax.io.validation import naming
 from gsc_jax.scene import InputError
 
 NATIVE, NONE = Path("native"), Path("none")
@@ -35,10 +36,8 @@ def configured_estimator(options: Locate) -> Estimator:
         raise InputError(f"--{name}: does not apply to --method {options.method}")
     if base.stops_early and (options.all_views or options.views):
         changes["tolerance"] = 0.0
-    try:
+    with naming(f"options of --method {options.method}", errors=ValueError):
         return replaced(base, changes)
-    except ValueError as error:
-        raise InputError(f"options of --method {options.method}: {error}") from error
 
 
 def network_path(options: Locate) -> Path | None:

@@ -4,21 +4,19 @@ The cameras of an orbit are written, too. The next run replaces only the files i
 """
 
 import dataclasses
-from collections.abc import Sequence
-from pathlib import Path, PurePosixPath
 
 import jax
 import numpy as np
 
 from gsc_jax.cli.options import Render
-from gsc_jax.cli.outputs import versions, write_json
+from gsc_jax.cli.outputs import planned_outputs, versions, write_json
 from gsc_jax.cli.ownership import refuse_foreign, refuse_overlap
 from gsc_jax.cli.scene_input import check_numbers, choose_cameras, read_scene
 from gsc_jax.cli.staging import replacing
 from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.io.cameras import camera_files, save_cameras
 from gsc_jax.io.masks import image_path, write_image
-from gsc_jax.scene import Camera, InputError
+from gsc_jax.scene import InputError
 from gsc_jax.splat import render
 
 REPORT = "render.json"
@@ -34,7 +32,11 @@ def run_render(options: Render, *, monitor: Monitor) -> tuple[list[str], list[st
     scene, cameras = read_scene(options, warnings, monitor)
     cameras = choose_cameras(options, scene, cameras, warnings)
     files = [options.scene, *(camera_files(options.cameras) if options.cameras else [])]
-    names = _planned(options, cameras)
+    reports = [REPORT] if options.cameras else [CAMERAS, REPORT]
+    names = planned_outputs(cameras, reports, [""])
+    for name in names[len(reports) :]:
+        if name.partition("/")[0] in reports:
+            raise InputError(f"camera of {name}: its name is that of a report; rename it")
     refuse_overlap(options.out, files, written=names)
     refuse_foreign(options.out, names, report=REPORT)
     gaussians = jax.device_put(scene.gaussians)
@@ -48,13 +50,3 @@ def run_render(options: Render, *, monitor: Monitor) -> tuple[list[str], list[st
         write_json(folder / REPORT, {"command": command, "versions": versions()})
     images = "1 image" if len(cameras) == 1 else f"{len(cameras)} images"
     return [f"{images} in {options.out}"], warnings
-
-
-def _planned(options: Render, cameras: Sequence[Camera]) -> list[str]:
-    """Every file that is written, relative to the folder of --out."""
-    images = [image_path(Path(), camera.name).as_posix() for camera in cameras]
-    reports = [*([] if options.cameras else [CAMERAS]), REPORT]
-    for name in images:
-        if PurePosixPath(name).parts[0] in reports:
-            raise InputError(f"camera of {name}: its name is that of a report; rename it")
-    return [*images, *reports]

@@ -1,9 +1,8 @@
 """Reading and checking the scene and the cameras, as all commands do."""
 
-import contextlib
 import math
-from collections.abc import Iterator, Sequence
-from pathlib import Path, PurePath
+from collections.abc import Sequence
+from pathlib import PurePath
 
 from gsc_jax.cli.options import SceneOptions
 from gsc_jax.cli.ownership import UNFINISHED
@@ -12,6 +11,7 @@ from gsc_jax.io.cameras import load_cameras
 from gsc_jax.io.files import memory_limit
 from gsc_jax.io.masks import image_path
 from gsc_jax.io.ply import PlyScene, read_ply
+from gsc_jax.io.validation import naming
 from gsc_jax.render.interior import moved_indoors
 from gsc_jax.render.orbit import opaque_means, orbit_cameras
 from gsc_jax.render.up import estimated_up, parse_up, up_text
@@ -144,14 +144,3 @@ def check_names(cameras: Sequence[Camera]) -> None:
                 f"cameras {names[folder]!r} and {name!r}: {folder.name!r} would be a file and a "
                 "folder; rename one"
             )
-
-
-@contextlib.contextmanager
-def naming(path: Path, *, remedy: str = "") -> Iterator[None]:
-    """Prefix an InputError with a file name; with a remedy, turn any ValueError into one."""
-    try:
-        yield
-    except ValueError as error:
-        if not (remedy or isinstance(error, InputError)):
-            raise
-        raise InputError(f"{path}: {error}" + (f"; {remedy}" if remedy else "")) from error

@@ -17,13 +17,14 @@ from gsc_jax.cli.options import Tamper
 from gsc_jax.cli.outputs import planned_outputs, save_array, versions, write_json
 from gsc_jax.cli.ownership import refuse_foreign, refuse_overlap
 from gsc_jax.cli.pictures import SHEET_ROWS, contact_sheet, overlay
-from gsc_jax.cli.scene_input import check_numbers, choose_cameras, evenly_spaced, naming, read_scene
+from gsc_jax.cli.scene_input import check_numbers, choose_cameras, evenly_spaced, read_scene
 from gsc_jax.cli.staging import replacing
 from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.io.cameras import camera_files, save_cameras
 from gsc_jax.io.files import memory_limit
 from gsc_jax.io.masks import image_path, write_mask, write_probability
 from gsc_jax.io.ply import load_ply, save_ply
+from gsc_jax.io.validation import naming
 from gsc_jax.render.projection import NEAR
 from gsc_jax.scene import Camera, Gaussians, InputError
 from gsc_jax.splat import render
@@ -76,7 +77,7 @@ def _edit(options: Tamper) -> Edit | Gaussians:
     if options.object is None:
         return make_object(seed=options.seed)
     donor = load_ply(options.object, max_bytes=memory_limit(options.memory))
-    with naming(options.object, remedy="expected a .ply of one object"):
+    with naming(options.object, errors=ValueError, remedy="; expected a .ply of one object"):
         extent(donor)
     return donor
 
@@ -97,7 +98,7 @@ def _write(
     if options.masks != "none":
         failures, decoy = REGIMES[options.masks], None
         if failures.decoy:
-            with naming(options.scene, remedy="choose --masks clean"):
+            with naming(options.scene, errors=ValueError, remedy="; choose --masks clean"):
                 labels = decoy_labels(edited.gaussians, edited.labels, seed=options.seed)
             decoy = masks(labels, "decoy")
         maps = simulate(truth, decoy, seed=options.seed, failures=failures)

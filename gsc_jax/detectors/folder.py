@@ -23,6 +23,7 @@ import numpy as np
 from gsc_jax.evidence.detector import same_view
 from gsc_jax.io import masks
 from gsc_jax.io.files import content_digest
+from gsc_jax.io.validation import naming
 from gsc_jax.scene import Camera, InputError
 
 
@@ -82,10 +83,8 @@ class FolderDetector:
             )
         path = self.path / match[1]
         probability = masks.read_probability(path, zero_one=self.zero_one, max_bytes=self._limit)
-        try:
+        with naming(path):
             return same_view(probability, camera)
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from error
 
     @functools.cached_property
     def zero_one(self) -> bool:

@@ -3,6 +3,7 @@
 import numpy as np
 
 from gsc_jax.detectors.specs import OnnxSpec
+from gsc_jax.evidence.detector import resize_bilinear
 
 Size = tuple[int, int]
 
@@ -55,16 +56,3 @@ def remap_threshold(probability: np.ndarray, threshold: float) -> np.ndarray:
     half = np.float32(0.5)
     above = np.maximum(remapped, np.nextafter(half, np.float32(1)))  # rounding can reach 0.5
     return np.where(probability > threshold, above, np.minimum(remapped, half))
-
-
-def resize_bilinear(image: np.ndarray, size: Size, *, low_pass: bool = True) -> np.ndarray:
-    """Resize with bilinear interpolation, beyond the border with the values at the border.
-
-    By default, after a low-pass filter if the image shrinks.
-    """
-    from skimage.transform import resize
-
-    image = np.asarray(image, np.float32)
-    if image.shape[:2] == size:
-        return image
-    return np.asarray(resize(image, size, order=1, mode="edge", anti_aliasing=low_pass))

@@ -14,7 +14,7 @@ Differences, where the test code is unspecified or returns NaN:
 import numpy as np
 from scipy.special import expit
 
-from gsc_jax.detectors.preprocessing import resize_bilinear
+from gsc_jax.evidence.detector import resize_bilinear
 
 STARTS = 16
 """Random starts of k-means; a test compares the result with all partitions of small sets."""

@@ -47,9 +47,7 @@ def fit_to_view(probability: Any, camera: Camera) -> np.ndarray:
     The map has shape (h, w), possibly with further axes of length 1, and is boolean or in [0, 1];
     an output that is no map of probabilities raises InputError.
     """
-    from skimage.transform import resize
-
-    output, size = _as_map(probability, camera), (camera.height, camera.width)
+    output = _as_map(probability, camera)
     if not (output.min() >= 0 and output.max() <= 1):
         unknown = np.isnan(output).sum()
         found = f"{output.min():.4g} to {output.max():.4g}, expected 0 to 1. Apply its sigmoid or"
@@ -57,10 +55,19 @@ def fit_to_view(probability: Any, camera: Camera) -> np.ndarray:
             f"The detector's output for view {camera.name!r} is not a probability: its values are "
             + (f"NaN in {unknown:,} pixels." if unknown else f"{found} divide by 255.")
         )
-    if output.shape == size:
-        return output
-    # After a low-pass filter if it shrinks.
-    return np.asarray(resize(output, size, order=1, mode="edge"), np.float32).clip(0.0, 1.0)
+    return resize_bilinear(output, (camera.height, camera.width)).clip(0.0, 1.0)
+
+
+def resize_bilinear(
+    image: np.ndarray, size: tuple[int, int], *, low_pass: bool = True
+) -> np.ndarray:
+    """Resize with bilinear interpolation, by default after a low-pass filter if it shrinks."""
+    from skimage.transform import resize
+
+    image = np.asarray(image, np.float32)
+    if image.shape[:2] == size:
+        return image
+    return np.asarray(resize(image, size, order=1, mode="edge", anti_aliasing=low_pass))
 
 
 def _as_map(probability: Any, camera: Camera) -> np.ndarray:

@@ -33,9 +33,9 @@ class EvidenceOfViews(abc.ABC):
     def view(self, index: int) -> "Evidence":
         """Evidence of one view, shapes (N,)."""
 
-    @abc.abstractmethod
     def of(self, rows: np.ndarray | slice) -> tuple[np.ndarray, np.ndarray]:
         """Total and tampered weight of M of the Gaussians in all views, shapes (V, M)."""
+        return np.asarray(self.total)[:, rows], np.asarray(self.tampered)[:, rows]
 
     def views(self) -> Iterator["Evidence"]:
         """Evidence view by view: that of large scenes must not be loaded as a whole."""
@@ -86,10 +86,6 @@ class Evidence(EvidenceOfViews):
         if np.ndim(self.total) == 1:
             return self
         return Evidence(total=self.total[index], tampered=self.tampered[index])
-
-    def of(self, rows: np.ndarray | slice) -> tuple[np.ndarray, np.ndarray]:
-        """Total and tampered weight of M of the Gaussians in all views, shapes (V, M)."""
-        return np.asarray(self.total)[:, rows], np.asarray(self.tampered)[:, rows]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from gsc_jax.io.files import check_allocation, existing_file
 from gsc_jax.io.json_cameras import pinhole
-from gsc_jax.io.validation import reported, shown
+from gsc_jax.io.validation import naming, reported, shown
 from gsc_jax.scene import Camera, InputError
 
 MODEL_FILES = ("cameras.bin", "cameras.txt", "images.bin", "images.txt")
@@ -121,10 +121,8 @@ def _camera(image: _Image, intrinsics: _Intrinsics, folder: Path) -> Camera:
     if not any(pose[:4]):
         problem = "the quaternion of its pose is 0, expected a rotation; export it again"
         raise InputError(f"{where}: {problem}")
-    try:
+    with naming(where, errors=ValueError):
         with np.errstate(all="ignore"):  # `pinhole` refuses what is not finite
             rotation = Rotation.from_quat(pose[:4], scalar_first=True).as_matrix()
             world = np.column_stack([rotation.T, -rotation.T @ pose[4:]])
         return pinhole(name, world, focal=(focal[0], focal[-1]), center=(cx, cy), size=size)
-    except ValueError as error:
-        raise InputError(f"{where}: {error}") from error

@@ -83,6 +83,17 @@ def reported(before: str, after: str) -> Iterator[None]:
         raise InputError(f"{before} ({brief(error)}){after}") from error
 
 
+@contextlib.contextmanager
+def naming(
+    where: object, *, errors: type[ValueError] = InputError, remedy: str = ""
+) -> Iterator[None]:
+    """Report these errors as InputErrors that begin with where they come from."""
+    try:
+        yield
+    except errors as error:
+        raise InputError(f"{where}: {error}{remedy}") from error
+
+
 def _located(location: Sequence[int | str], given: Any) -> tuple[str, Any]:
     """A location as "loop.rates[2]", without pydantic's names of types, and the value there."""
     key = ""

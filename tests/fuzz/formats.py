@@ -31,12 +31,13 @@ from web_files import glb_tree, write_chunks, write_ksplat, write_splat
 from gsc_jax.cli.config_file import read_config_file
 from gsc_jax.cli.report.wording import headline, labels_sentence
 from gsc_jax.cli.results import read_results
-from gsc_jax.cli.scene_input import check_names, naming
+from gsc_jax.cli.scene_input import check_names
 from gsc_jax.detectors.specs import read_spec
 from gsc_jax.estimators import METHODS
 from gsc_jax.io.cameras import load_cameras, save_cameras
 from gsc_jax.io.masks import image_path, read_probability
 from gsc_jax.io.ply import read_ply, save_tampered
+from gsc_jax.io.validation import naming
 from gsc_jax.scene import Camera
 from gsc_jax.scene.gaussians import usable_rows
 

@@ -44,11 +44,8 @@ def run_view(
     """Show results in 3D: serve a page until interrupted, or write one; lines, and warnings.
 
     `say` prints a line while the command runs: addresses and notes. `wait` blocks while the page is
-    served and ends with KeyboardInterrupt; by default forever.
-
-    Raises:
-        InputError: if the results cannot be read, viser is missing, the page cannot be written, or
-            it cannot be served at that address.
+    served and ends with KeyboardInterrupt; by default forever. InputError if viser is missing, the
+    results cannot be read, or the page cannot be written, or served at that address.
     """
     _check(options)
     monitor = monitor or Monitor()

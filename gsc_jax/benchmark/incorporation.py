@@ -28,10 +28,7 @@ MAX_COST = 1.0
 def transformed(
     gaussians: Gaussians, rotation: Array, scale: float, translation: Array
 ) -> Gaussians:
-    """Transform Gaussians, their harmonics included, by a similarity x -> scale R x + t.
-
-    R has shape (3, 3); a scale that is not positive raises ValueError.
-    """
+    """Transform Gaussians and harmonics by x -> scale R x + t, with R (3, 3) and scale > 0."""
     if not scale > 0:
         raise ValueError(f"scale must be positive, got {scale}")
     R = np.asarray(rotation, np.float64)
@@ -130,10 +127,7 @@ def placement_cost(
 
 
 def extent(gaussians: Gaussians) -> tuple[np.ndarray, np.ndarray]:
-    """Corners of the box of the opaque centres, without the outer 0.5 % on each side.
-
-    An object with too few opaque Gaussians or without extent raises InputError.
-    """
+    """Box of the opaque centres without 0.5 % on each side; InputError if they are too few."""
     opaque = np.asarray(gaussians.opacities) > 0.5
     means = np.asarray(gaussians.means, np.float64)
     if np.count_nonzero(opaque) < 10:

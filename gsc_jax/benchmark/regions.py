@@ -105,10 +105,7 @@ class EditRejected(Exception):  # noqa: N818 - not an error: another attempt may
 def measure_visibility(
     gaussians: Gaussians, cameras: Sequence[Camera], *, near: float = NEAR
 ) -> Visibility:
-    """Measure the visibility of Gaussians from at most `MAX_VIEWS` of the cameras.
-
-    Raises InputError if the cameras see nothing that can be edited.
-    """
+    """Measure visibility from at most `MAX_VIEWS` views; InputError if nothing can be edited."""
     check_views(gaussians, cameras, near=near)
     chosen = np.unique(np.linspace(0, len(cameras) - 1, min(MAX_VIEWS, len(cameras))).astype(int))
     small = [scaled_down(cameras[view]) for view in chosen]

@@ -164,10 +164,7 @@ def versions() -> dict[str, str]:
 
 
 def jsonable(value: Any) -> Any:
-    """A value for JSON: paths as text, numbers that are not finite as null.
-
-    Bytes of a path that are not UTF-8 become escapes, also inside warnings.
-    """
+    """A value for JSON: paths as text, bytes that are not UTF-8 as escapes, NaN as null."""
     if isinstance(value, dict):
         return {jsonable(str(key)): jsonable(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):

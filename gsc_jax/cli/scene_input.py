@@ -123,10 +123,7 @@ def evenly_spaced(cameras: Sequence[Camera], count: int) -> list[Camera]:
 
 
 def check_names(cameras: Sequence[Camera]) -> None:
-    """Refuse names of cameras that cannot name files, or name the same file or a file as a folder.
-
-    All commands that write a file per camera, .png or .jpg, read their cameras here.
-    """
+    """Refuse names of cameras that cannot name files, or name one file, or a file as a folder."""
     names: dict[PurePath, str] = {}
     for name in (camera.name for camera in cameras):
         path = image_path("masks", name)

@@ -67,19 +67,16 @@ class Prior:
     def __post_init__(self) -> None:
         """Check types, ranges and shapes: one NaN would spread to every Gaussian."""
         for name in ("probability", "known"):
-            if not isinstance(getattr(self, name), np.ndarray):
-                found = type(getattr(self, name)).__name__
-                raise ValueError(f"{name} must be a NumPy array, got {found}")
+            if not isinstance(value := getattr(self, name), np.ndarray):
+                raise ValueError(f"{name} must be a NumPy array, got {type(value).__name__}")
         if self.probability.ndim != 1:
             raise ValueError(f"probability must have shape (N,), got {self.probability.shape}")
         if not 0 <= self.verdict <= 1:
             raise ValueError(f"verdict must be in [0, 1], got {self.verdict}")
         within = (self.probability >= 0) & (self.probability <= 1)
         if not within.all():
-            row = int(np.argmin(within))
-            raise ValueError(
-                f"probability must be in [0, 1], got {self.probability[row]} in row {row}"
-            )
+            found = f"{self.probability[~within][0]} in row {np.argmin(within)}"
+            raise ValueError(f"probability must be in [0, 1], got {found}")
         if self.known.dtype != bool or self.known.shape != self.probability.shape:
             raise ValueError(
                 f"known must be bool and of shape {self.probability.shape} like probability, got "

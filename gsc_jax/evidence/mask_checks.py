@@ -64,10 +64,7 @@ def doubts(observation: Observation, *, near: float = NEAR) -> list[str]:
 
 
 def same_pixels(observation: Observation) -> bool:
-    """Whether all of at least three masks are the same, although the cameras are not at one place.
-
-    Empty masks and those that flag everything do not count.
-    """
+    """Whether three or more masks are the same, and partly flagged, although the cameras differ."""
     centers = np.stack([np.asarray(camera.center) for camera in observation.cameras])
     masks = (np.asarray(observation.masks[camera.name], bool) for camera in observation.cameras)
     first = next(masks)

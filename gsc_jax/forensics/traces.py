@@ -80,8 +80,8 @@ def region_scores(
     """Probability that each Gaussian belongs to a compact region of marks, shape (N,) float32.
 
     It is the posterior given the own mark, (N,) bool, with the share of marks among the neighbours
-    (N, K) as prior; 0 away from regions, whose neighbourhoods have a share of `min_share`. All are
-    0 if the rate of marks outside of regions, at least `min_outside`, is above `max_outside`.
+    (N, K) as prior; 0 away from regions, whose neighbourhoods have a share of `min_share`. The rate
+    of marks outside of regions counts as `min_outside` at least; above `max_outside`, all are 0.
     """
     nothing, size = np.zeros(len(marked), np.float32), neighbours.shape[1] + 1
     if marked.sum() < MIN_REGION or not neighbours.size:

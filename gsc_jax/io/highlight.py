@@ -16,10 +16,7 @@ TAMPERED_COLOR, CANDIDATE_COLOR = np.array([1.0, 0.1, 0.1]), np.array([0.1, 0.45
 def save_highlight(
     path: str | Path, gaussians: Gaussians, labels: Array, *, candidates: bool = False
 ) -> None:
-    """Write a copy whose tampered Gaussians (labels, shape (N,) bool) are red, the others grey.
-
-    Candidates, which are labelled although there is no evidence of editing, are blue.
-    """
+    """Write a copy with labelled Gaussians, (N,) bool, red, candidates blue, the others grey."""
     color = CANDIDATE_COLOR if candidates else TAMPERED_COLOR
     host, labels = jax.tree.map(np.asarray, gaussians), np.asarray(labels, bool)
 

@@ -56,10 +56,7 @@ _REPR.maxstring = _REPR.maxother = _REPR.maxlong = SHOWN_CHARACTERS
 
 
 def printable(text: str) -> str:
-    """The text with escapes for what a terminal would not show: it could obey an escape sequence.
-
-    Names of files and values in them reach the terminal in errors, warnings and results.
-    """
+    """The text with escapes for what a terminal would not show: it could obey such sequences."""
     return "".join(sign if sign.isprintable() else repr(sign)[1:-1] for sign in text)
 
 

@@ -42,11 +42,7 @@ def nearest_neighbours(points: np.ndarray, rows: np.ndarray, count: int) -> np.n
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Neighbourhoods:
-    """The k nearest neighbours of each of N points.
-
-    Attributes:
-        nearest: Indices of the k nearest other points, nearest first, shape (N, k) int32.
-    """
+    """The k nearest other points of each of N points, nearest first, indices (N, k) int32."""
 
     nearest: np.ndarray
 

@@ -23,12 +23,9 @@ GROWTH = 1.5
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class EarlyStopping:
-    """How many views were used, and why no more.
+    """How many views were used, of those available, and why no more.
 
-    Attributes:
-        views: Number of views used.
-        available: Number of views available.
-        changes: Share of the labelled weight that each further batch of views changed.
+    `changes` are the shares of the labelled weight that each further batch of views changed.
     """
 
     views: int

@@ -12,7 +12,7 @@ from gsc_jax.estimators.protocol import Estimator, Finding, Prior
 from gsc_jax.estimators.robust.estimator import RobustEstimator
 from gsc_jax.evidence.observation import Observation
 from gsc_jax.scene import Camera, Gaussians
-from gsc_jax.scene.parallel import map_views
+from gsc_jax.scene.parallel import bounded_map, view_threads
 
 __all__ = ["METHODS", "Estimator", "Finding", "GSChecker", "Method", "Prior", "RobustEstimator"]
 __all__ += ["configured", "estimate", "sweep"]
@@ -84,4 +84,5 @@ def sweep(observation: Observation, estimators: Iterable[Estimator]) -> Iterator
     Returns:
         Iterator over the findings, in the order of the estimators.
     """
-    return map_views(lambda estimator: estimator.estimate(observation), estimators)
+    with view_threads() as pool:
+        yield from bounded_map(pool, lambda estimator: estimator.estimate(observation), estimators)

@@ -23,7 +23,7 @@ from gsc_jax.render.spherical_harmonics import colors
 from gsc_jax.render.tiles import make_view, restricted
 from gsc_jax.scene import Array, Camera, Gaussians
 from gsc_jax.scene.gaussians import transparent_rows
-from gsc_jax.scene.parallel import map_views
+from gsc_jax.scene.parallel import bounded_map, view_threads
 from gsc_jax.splat import composite_with_alpha, require_finite
 
 MaskRule = Literal["share", "attribute", "per-view"]
@@ -141,7 +141,9 @@ def stored_masks(
             for kind, array in zip((MASK, RENDER, SCORE), arrays, strict=False):
                 store.put(kind, camera.name, array)
 
-    list(monitor.track("masks", map_views(put, cameras), len(cameras)))
+    with view_threads() as pool:
+        for done, _ in enumerate(bounded_map(pool, put, cameras), start=1):
+            monitor.progress("masks", done, len(cameras))
     names = tuple(camera.name for camera in cameras)
     return ByView(names, lambda name: np.array(store.get(MASK, name)))
 

@@ -22,7 +22,7 @@ from gsc_jax.render.tiles import View, bin_view
 from gsc_jax.scene import Camera, Gaussians, InputError
 from gsc_jax.scene.camera import check_camera
 from gsc_jax.scene.gaussians import filled_up
-from gsc_jax.scene.parallel import map_views, view_threads
+from gsc_jax.scene.parallel import bounded_map, view_threads
 from gsc_jax.scene.pytree import short_repr
 from gsc_jax.splat import render_view
 from gsc_jax.vote import Tally, cast_votes, no_votes, tally
@@ -100,8 +100,7 @@ def observe(
 
     def detect() -> Iterator[tuple[Camera, View]]:
         # The detector runs in this thread only, since a user's function need not be thread-safe.
-        prepared = map_views(prepare, missing, pool=pool)
-        for camera, (view, image) in zip(missing, prepared, strict=True):
+        for camera, (view, image) in zip(missing, bounded_map(pool, prepare, missing), strict=True):
             if not store.has(MAP, camera.name):
                 with monitor.stage("detect"):
                     _judge(detector, image, camera, store)
@@ -114,7 +113,7 @@ def observe(
             store.put(EVIDENCE, camera.name, sparse(view_evidence(view, mask)))
 
     with view_threads() as pool:
-        lifted = map_views(lift, detect(), pool=pool)
+        lifted = bounded_map(pool, lift, detect())
         list(monitor.track("views", lifted, len(cameras), len(cameras) - len(missing)))
     shape = len(names), len(gaussians)
     evidence = SparseEvidence(entry=lambda view: store.get(EVIDENCE, names[view]), shape=shape)

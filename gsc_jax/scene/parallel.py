@@ -1,10 +1,9 @@
 """Apply a function to views in threads or to rows in blocks, with a bound on memory."""
 
-import contextlib
 import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from itertools import cycle
 from typing import TypeVar
 
@@ -40,24 +39,18 @@ def view_threads() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(workers(jax.local_device_count()), initializer=start)
 
 
-def map_views(
-    function: Callable[[Item], Value],
-    items: Iterable[Item],
-    *,
-    pool: ThreadPoolExecutor | None = None,
+def bounded_map(
+    pool: Executor, function: Callable[[Item], Value], items: Iterable[Item]
 ) -> Iterator[Value]:
-    """Map in `view_threads`, in order, with at most one item for each of `workers` in flight.
-
-    Nested maps share the threads of one `pool`.
-    """
+    """Map in the threads of a pool, in order, with at most one item for each of `workers`."""
+    most = workers(jax.local_device_count())
     waiting: deque[Future[Value]] = deque()
-    with contextlib.nullcontext(pool) if pool else view_threads() as threads:
-        for item in items:
-            waiting.append(threads.submit(function, item))
-            if len(waiting) == workers(jax.local_device_count()):
-                yield waiting.popleft().result()
-        while waiting:
+    for item in items:
+        waiting.append(pool.submit(function, item))
+        if len(waiting) == most:
             yield waiting.popleft().result()
+    while waiting:
+        yield waiting.popleft().result()
 
 
 def in_blocks(function: Callable[[np.ndarray], np.ndarray], rows: np.ndarray) -> np.ndarray:

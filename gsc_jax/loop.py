@@ -137,9 +137,15 @@ def fit(
 ) -> tuple[jax.Array, StepInfo]:
     """Optimise the attribute on evidence, without rendering.
 
-    The initial attribute r has shape (N,), the evidence (V, N), of which one view at a time is
-    read, the attributes F of the 3D loss (A, N), and the order, the view of each iteration,
-    (iterations,) int32. Returns the attribute, (N,), and the info of all iterations.
+    Args:
+        evidence: Evidence of V views, shapes (V, N), of which one view at a time is read.
+        r: Initial attribute, shape (N,).
+        attributes: Attributes F of the 3D loss, shape (A, N).
+        order: View of each iteration, shape (iterations,), int32.
+        config: Weights and schedule.
+
+    Returns:
+        The attribute, shape (N,), and the info of all iterations.
     """
     config, attributes = resolved(config, len(order)), jnp.asarray(attributes)
     return _iterate(

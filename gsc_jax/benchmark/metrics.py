@@ -109,7 +109,11 @@ def auc(scores: Array, truth: Array) -> float:
 def truth_mask(
     gaussians: Gaussians, camera: Camera, labels: Array, *, near: float = NEAR
 ) -> np.ndarray:
-    """True mask (H, W) of a view: where labels (N,) have a `rendered_share` above one half."""
+    """True mask (H, W) of a view, from the labels (N,) of the Gaussians.
+
+    A pixel is tampered where tampered Gaussians have more than half of its blending weight and it
+    is covered (alpha > 0.1).
+    """
     return rendered_share(gaussians, camera, labels, near=near) > 0.5
 
 

@@ -49,16 +49,11 @@ BALL_REACH = 2.4
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Visibility:
-    """Visibility of N Gaussians from V views.
+    """Visibility of N Gaussians from V views, which are scaled down.
 
-    Attributes:
-        cameras: The V views, scaled down.
-        pixel_share: Share of the pixels of a view that a Gaussian fills, shape (V, N); 0 for rows
-            that cannot be rendered.
-        seed_weight: Weight for drawing seeds, larger near image centres, shape (N,); 0 for
-            Gaussians that are not visible or not opaque.
-        up: Unit vector, shape (3,).
-        near: Near plane in world units.
+    `pixel_share` (V, N) is the share of the pixels of a view that a Gaussian fills, 0 for rows that
+    cannot be rendered. Seeds are drawn by `seed_weight` (N,), which is larger near image centres
+    and 0 for Gaussians that are not visible or not opaque. `up` is a unit vector, shape (3,).
     """
 
     cameras: list[Camera]
@@ -70,14 +65,10 @@ class Visibility:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Region:
-    """A compact region and its surroundings.
+    """Rows of a compact region, nearest to the seed first, and those of the `ring` around it.
 
-    Attributes:
-        rows: Indices of its Gaussians, nearest to the seed first.
-        ring: Indices of the Gaussians around it.
-        center: Median of its centres, shape (3,).
-        radius: Distance from the center that contains 90 % of its centres.
-        towards: Unit vector to the cameras that see it, shape (3,).
+    The center is the median of its centres, shape (3,), of which 90 % lie within the radius;
+    `towards` is a unit vector to the cameras that see it, shape (3,).
     """
 
     rows: np.ndarray

@@ -66,13 +66,22 @@ def tamper(
     near: float = NEAR,
     seed: int = 0,
 ) -> Tampered:
-    """Edit a scene where its V cameras look; authentic rows stay as they are, to the bit.
+    """Edit a scene where its cameras look.
 
-    The edit is "modification", "removal", or for an incorporation the object to paste, upright with
-    up = -y; or a kind of edit and a function that proposes one. It should cover `size`, the median
-    share of the pixels in the views that see it. The vertical is the mean of the up vectors of the
-    cameras. ValueError if the edit is unknown, the size is not in (0, 0.5], or the object is
-    unusable; InputError if the cameras do not see the scene, or no attempt gave a visible edit.
+    Authentic rows equal those of the original to the bit.
+
+    Args:
+        gaussians: The authentic scene.
+        cameras: Its V cameras, mostly held level: the vertical is the mean of their up vectors.
+        edit: "modification", "removal", or for an incorporation the object to paste, upright with
+            up = -y; or a kind of edit and a function that proposes one.
+        size: Median share of the pixels that the edit should cover in the views that see it.
+        near: Near plane in world units.
+        seed: Seed of the random choices.
+
+    Raises:
+        ValueError: if the edit is unknown, the size is not in (0, 0.5], or the object is unusable.
+        InputError: if the cameras do not see the scene, or no attempt gave a visible edit.
     """
     if isinstance(edit, str) and edit not in PROPOSALS:
         raise ValueError(f"edit must be an object or one of {', '.join(PROPOSALS)}, got {edit!r}")

@@ -61,14 +61,10 @@ class _Report(BaseModel):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Results:
-    """A folder of results.
+    """A folder of results; its report is the content of result.json.
 
-    Attributes:
-        report: Content of result.json.
-        scene: The scene, with its N Gaussians that can be rendered.
-        tamper: Scores in [0, 1], shape (N,) float32.
-        labels: Tampered Gaussians, shape (N,) bool.
-        cameras: The cameras of the masks, at the size of the masks.
+    Of the N Gaussians that can be rendered, it has the scores `tamper` in [0, 1], (N,) float32, and
+    the labels, (N,) bool. The cameras are those of the masks, at their size.
     """
 
     folder: Path

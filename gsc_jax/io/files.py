@@ -75,7 +75,10 @@ CGROUP_LIMIT = Path("/sys/fs/cgroup/memory.max")
 
 
 def memory_limit(gib: float | None = None) -> int:
-    """Bytes that a run may allocate: `gib` GiB, which must be positive, or half of all memory."""
+    """Bytes that a run may allocate: `gib` GiB, by default half of the memory of the machine.
+
+    Raises InputError if it is not a positive number.
+    """
     if gib is not None and not (math.isfinite(gib) and gib > 0):
         raise InputError(f"--memory {gib:g}: expected a positive number of GiB")
     if gib is not None:

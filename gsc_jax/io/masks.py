@@ -47,15 +47,23 @@ Pillow's WebP changes grey noise by 1 level; the bound leaves room for other enc
 def read_probability(
     path: str | Path, *, zero_one: bool | None = None, max_bytes: int | None = None
 ) -> np.ndarray:
-    """Read a mask or a probability map: probability in [0, 1], shape (h, w) float32.
+    """Read a mask or a probability map.
 
     Grey levels of 1, 8 or 16 bits are divided by the largest level of their type; floats are taken
     as they are. Colour is accepted where the channels are equal, or where the only colours are
     black and one other, for tampered (the usual palette mask). Transparent pixels are authentic.
 
-    With `zero_one`, 8-bit levels are 0 and 1, without it 0 to 255; by default they are 0 and 1 if
-    no level of the file exceeds 1. InputError if the file is missing, damaged or coloured, holds
-    several images, or takes more than `max_bytes` of memory; see `memory_limit` for the default.
+    Args:
+        path: An image file in one of `IMAGE_SUFFIXES`.
+        zero_one: Whether 8-bit levels are 0 and 1 (True) or 0 to 255 (False). The default is True
+            if no level of the file exceeds 1. Other types ignore it.
+        max_bytes: Memory that may be allocated; see `memory_limit` for the default.
+
+    Returns:
+        Probability of tampering in [0, 1], shape (h, w) float32.
+
+    Raises:
+        InputError: If the file is missing, damaged, coloured or too large, or holds several images.
     """
     grey = read_grey(path, max_bytes=max_bytes)
     if grey.dtype == np.uint8 and (grey.max() <= 1 if zero_one is None else zero_one):

@@ -29,11 +29,10 @@ MIN_PADDED_VIEWS = 16
 
 @pytree
 class Classes:
-    """A mixture of K latent classes; the share of an unused class is 0.
+    """A mixture of K latent classes.
 
-    Attributes:
-        rates: Flag rates: probability that a class is flagged in a view, shape (K, V).
-        shares: Share of the fitted Gaussians in each class, shape (K,).
+    `rates` (K, V) are the probabilities that a class is flagged in a view, and `shares` (K,) those
+    of the fitted Gaussians in each class, 0 for an unused one.
     """
 
     rates: Array
@@ -42,13 +41,10 @@ class Classes:
 
 @pytree
 class Fit:
-    """Result of fitting latent classes.
+    """Latent classes of the best start, and how probable each is for a Gaussian, (K, S).
 
-    Attributes:
-        classes: Classes of the start with the best criterion.
-        responsibilities: Probability of each class for a Gaussian, shape (K, S).
-        criterion: Bayesian information criterion of every start (higher is better), shape (R,).
-        iterations: EM iterations of every start, shape (R,).
+    The Bayesian information criterion (higher is better) and the number of EM iterations are those
+    of every start, shapes (R,).
     """
 
     classes: Classes

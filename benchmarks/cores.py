@@ -1,11 +1,11 @@
 """Seconds on 1, 2, 4, ... cores, on as many devices as JAX makes of them, and on an accelerator.
 
-    python benchmarks/cores.py [--views 32] [--gaussians 300000]
+    python benchmarks/cores.py [--views 32] [--gaussians 300000] [--threads 2]
 
 Each row is a process of its own, held to its cores, in which nothing but the row is computed: the
 stages of one view of 640x420; `observe` of many views with given masks, which renders and lifts
-them; `robust` on that; the evidence in the attributes. All without compilation. Prints the table
-of `docs/performance.md` and writes it to `docs/performance.json`. Rows with an accelerator are
+them; `robust` on that; the evidence in the attributes. All without compilation. Prints a table like
+that of `docs/performance.md` and writes it to `docs/performance.json`. Rows with an accelerator are
 left out where JAX finds none.
 """
 
@@ -25,6 +25,7 @@ import tyro
 import gsc_jax
 from gsc_jax.render.projection import project
 from gsc_jax.render.tiles import bin_view, make_view
+from gsc_jax.scene.parallel import ViewThreads
 from gsc_jax.splat import accumulate, composite
 
 CPU, ACCELERATOR = "cpu", "accelerator"
@@ -39,19 +40,23 @@ class Options:
         gaussians: Number of Gaussians.
         views: Views of `observe`.
         repeats: Timed runs of each part; the median counts.
+        threads: Threads for views instead of the usual ones.
         child: Internal: measure in this process.
     """
 
     gaussians: int = 300_000
     views: int = 32
     repeats: int = 3
+    threads: int = 0
     child: bool = False
 
 
 def main(options: Options) -> None:
     """Measure every row in a new process, print the table and save it."""
     if options.child:
-        print(json.dumps(measure(options)))
+        cores = range(options.threads or len(os.sched_getaffinity(0)))
+        with mock.patch("gsc_jax.scene.parallel.usable_cores", return_value=cores):
+            print(json.dumps(measure(options)))
         return
     rows = []
     for platform, cores, devices in plans(len(os.sched_getaffinity(0))):
@@ -73,7 +78,7 @@ def plans(cores: int) -> list[tuple[str, int, int]]:
 def in_process(options: Options, platform: str, cores: int, devices: int) -> dict:
     """The times of a new process on some of the cores of this one."""
     own = {"XLA_FLAGS": DEVICES.format(devices), "JAX_PLATFORMS": CPU} if platform == CPU else {}
-    flags = [f"--{f.name}={getattr(options, f.name)}" for f in dataclasses.fields(options)[:3]]
+    flags = [f"--{f.name}={getattr(options, f.name)}" for f in dataclasses.fields(options)[:4]]
     allowed = os.sched_getaffinity(0)
     os.sched_setaffinity(0, sorted(allowed)[:cores])  # the child inherits it
     try:
@@ -103,7 +108,9 @@ def measure(options: Options) -> dict:
         "attributes": lambda: gsc_jax.forensic_evidence(gaussians, with_traces=False).probability,
     }
     seconds = common.medians(runs, options.repeats)
-    return {**seconds, "views": len(views), **common.machine()}
+    with ViewThreads(len(gaussians)) as pool:
+        threads = pool.count
+    return {**seconds, "views": len(views), "threads": threads, **common.machine()}
 
 
 def described(row: dict) -> str:
@@ -111,7 +118,8 @@ def described(row: dict) -> str:
     where = row["device"] if row["platform"] == ACCELERATOR else "CPU"
     small = [f"{1e3 * row[x]:.0f} ms" for x in ("project", "bin", "composite", "accumulate")]
     large = [f"{row[x]:.2f} s" for x in ("observe", "robust", "attributes")]
-    return "| " + " | ".join([where, str(row["cores"]), str(row["devices"]), *small, *large]) + " |"
+    counts = [str(row[x]) for x in ("cores", "devices", "threads")]
+    return "| " + " | ".join([where, *counts, *small, *large]) + " |"
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ from gsc_jax.render.projection import Splats, project
 from gsc_jax.render.tiles import TILE, bin_view, restricted
 from gsc_jax.scene import Camera, Gaussians
 from gsc_jax.scene.gaussians import filled_up, transparent_rows
-from gsc_jax.scene.parallel import bounded_map, view_threads
+from gsc_jax.scene.parallel import ViewThreads, bounded_map
 
 MIN_FLAGGED = 0.1
 """Flagged share of the coarse visibility of a Gaussian from which all its pixels are observed."""
@@ -109,7 +109,7 @@ class CoarseToFine:
             splats = jax.block_until_ready(project(filled, camera))
             return coarse_evidence(splats, masks[camera.name])
 
-        with view_threads() as pool:
+        with ViewThreads(len(gaussians)) as pool:
             self._coarse = list(bounded_map(pool, observe, cameras))
         self.candidates = self._candidates()
 
@@ -144,7 +144,7 @@ class CoarseToFine:
         def refine(index: int) -> np.ndarray:
             return self._refined(index, near_rows[index], rows, size)
 
-        with view_threads() as pool:
+        with ViewThreads(len(rows)) as pool:
             entries = list(bounded_map(pool, refine, range(len(near_rows))))
         thin = SparseEvidence(entry=entries.__getitem__, shape=(len(entries), len(rows)))
         return thin.expanded(MAX_BYTES), share

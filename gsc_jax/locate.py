@@ -151,7 +151,8 @@ def locate(
     settings |= {"rule": estimator.mask_rule, "scored": filled_scores(finding)}
     mask_of = view_mask if given is None else pictures
     compute = functools.partial(mask_of, filled_up(gaussians), **settings)
-    masks = stored_masks(compute, cameras, store, monitor)  # labels -> masks
+    # labels -> masks
+    masks = stored_masks(compute, cameras, store, monitor, gaussians=len(gaussians))
     return Result(
         tamper=finding.tamper,
         labels=finding.labels,

@@ -28,7 +28,7 @@ MAX_COST = 1.0
 def transformed(
     gaussians: Gaussians, rotation: Array, scale: float, translation: Array
 ) -> Gaussians:
-    """Transform Gaussians and harmonics by x -> scale R x + t, with R (3, 3) and scale > 0."""
+    """Transform Gaussians and harmonics by x -> s R x + t, R (3, 3); ValueError unless s > 0."""
     if not scale > 0:
         raise ValueError(f"scale must be positive, got {scale}")
     R = np.asarray(rotation, np.float64)
@@ -127,7 +127,7 @@ def placement_cost(
 
 
 def extent(gaussians: Gaussians) -> tuple[np.ndarray, np.ndarray]:
-    """Box of the opaque centres without 0.5 % on each side; InputError if they are too few."""
+    """Box of the opaque centres without 0.5 % on each side; InputError if too few or a point."""
     opaque = np.asarray(gaussians.opacities) > 0.5
     means = np.asarray(gaussians.means, np.float64)
     if np.count_nonzero(opaque) < 10:

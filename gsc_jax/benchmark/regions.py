@@ -24,7 +24,7 @@ from gsc_jax.render.tiles import make_view
 from gsc_jax.render.visibility import check_views
 from gsc_jax.scene import Camera, Gaussians, InputError
 from gsc_jax.scene.gaussians import usable_rows
-from gsc_jax.scene.parallel import bounded_map, view_threads
+from gsc_jax.scene.parallel import ViewThreads, bounded_map
 from gsc_jax.splat import accumulate
 
 Value = TypeVar("Value")
@@ -119,7 +119,7 @@ def scaled_down(camera: Camera) -> Camera:
 
 def map_views(function: Callable[[Camera], Value], cameras: Sequence[Camera]) -> list[Value]:
     """Apply a function to views in parallel threads."""
-    with view_threads() as pool:
+    with ViewThreads() as pool:
         return list(bounded_map(pool, function, cameras))
 
 

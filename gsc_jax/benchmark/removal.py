@@ -34,14 +34,9 @@ NOISE = 0.03
 class Hole:
     """A region in the coordinates of a smooth surface through its surroundings.
 
-    Coordinates are in radii of the region about its centre; the third is normal to the surface.
-
-    Attributes:
-        region: The region to remove.
-        frame: Axes of the coordinates as rows, shape (3, 3).
-        surface: Coefficients of the height, a quadratic of the first two coordinates, shape (6,).
-        ring: Coordinates of the ring, the third relative to the surface, shape (B, 3).
-        rows: Coordinates of the region likewise, shape (M, 3).
+    Coordinates, with axes in the rows of `frame`, are in radii of the region about its centre; the
+    third is normal to the surface, a quadratic of the others with coefficients (6,), and relative
+    to it in the coordinates of the ring (B, 3) and of the region, `rows` (M, 3).
     """
 
     region: regions.Region

@@ -40,14 +40,10 @@ SIZE_TOLERANCE = 2.5
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Tampered:
-    """A tampered scene and its truth.
+    """A tampered scene of N Gaussians, rows shuffled, and its truth.
 
-    Attributes:
-        gaussians: N Gaussians, rows shuffled.
-        labels: True where a Gaussian was pasted, changed or filled in, shape (N,) bool.
-        edit: One of `EDITS`.
-        description: What was done, in a sentence.
-        visible: Share of the pixels of each camera that are tampered, shape (V,).
+    `labels` (N,) bool are true where a Gaussian was pasted, changed or filled in, and `visible`
+    (V,) is the share of the pixels of each camera that are tampered. `edit` is one of `EDITS`.
     """
 
     gaussians: Gaussians

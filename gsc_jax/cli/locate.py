@@ -3,7 +3,6 @@
 import contextlib
 import dataclasses
 import hashlib
-import json
 import tempfile
 import uuid
 from importlib.metadata import distributions
@@ -24,9 +23,12 @@ from gsc_jax.estimators.protocol import Estimator, Prior
 from gsc_jax.evidence.detector import Detector
 from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.evidence.storage import ArrayStore
+from gsc_jax.forensics.contrast import contrasts
 from gsc_jax.io.cameras import camera_files
 from gsc_jax.io.files import content_bytes, content_digest, memory_limit
 from gsc_jax.io.ply import PlyScene
+from gsc_jax.io.tables import read_table
+from gsc_jax.io.validation import shown
 from gsc_jax.locate import locate
 from gsc_jax.scene import Camera, InputError
 
@@ -99,8 +101,9 @@ def locate_and_write(inputs: Inputs, *, prior: Prior | bool, monitor: Monitor) -
         settings = {"config": inputs.estimator, "prior": prior, "monitor": monitor, "store": store}
         result = locate(scene.gaussians, cameras, inputs.detector, **settings)
         visible_share = float(np.mean([mask.mean() for mask in result.masks.values()]))
-        located = Located(scene, cameras, result, visible_share, inputs.files)
         with monitor.stage("write"):
+            found = contrasts(scene.gaussians, result.labels)
+            located = Located(scene, cameras, result, visible_share, inputs.files, found)
             write_results(folder, located, store, monitor=monitor)
         warnings = list(dict.fromkeys([*inputs.warnings, *result.warnings]))  # of `check_views`
         times = {"stages": monitor.summary(), "seconds": monitor.elapsed()}
@@ -125,14 +128,14 @@ def _identity(inputs: Inputs) -> str:
     return digest.hexdigest()
 
 
-def replaced(out: Path) -> str | None:
-    """Which results a run replaces in its folder; None if it holds none."""
-    path = out / "result.json"
+def earlier_results(out: Path) -> str | None:
+    """What a run replaces in its folder, in words; None if it holds no results."""
+    path, scene = out / "result.json", ""
     if not path.exists():
         return None
-    with contextlib.suppress(OSError, ValueError, TypeError, KeyError):
-        return f"replaces the results of {json.loads(path.read_bytes())['command']['scene']}"
-    return "replaces results"
+    with contextlib.suppress(InputError, LookupError, TypeError):  # a file of another program
+        scene = f" of {shown(read_table(path, remedy='')['command']['scene'])}"
+    return f"results{scene}"
 
 
 def dry_run(options: Locate, *, monitor: Monitor) -> tuple[list[str], list[str]]:
@@ -145,6 +148,7 @@ def dry_run(options: Locate, *, monitor: Monitor) -> tuple[list[str], list[str]]
     config |= {f"loop.{key}": value for key, value in config.pop("loop", {}).items()}
     sizes = [(camera.width, camera.height) for camera in inputs.cameras]
     pixels = " to ".join(f"{w} x {h}" for w, h in dict.fromkeys((min(sizes), max(sizes))))
+    earlier = earlier_results(options.out)
     origin = options.cameras or "cameras that were placed around the scene"
     return [
         f"Dry run: nothing was written to {options.out}.",
@@ -152,7 +156,7 @@ def dry_run(options: Locate, *, monitor: Monitor) -> tuple[list[str], list[str]]
         f"views    {len(sizes)} of {pixels} pixels, from {origin}",
         *(f"evidence {source}" for source in _evidence(inputs)),
         *(f"config   {name} = {value}" for name, value in config.items()),
-        f"writes   {options.out}: {replaced(options.out) or 'new results'}",
+        f"writes   {options.out}: {'replaces ' + earlier if earlier else 'new results'}",
     ], inputs.warnings
 
 

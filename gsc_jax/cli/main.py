@@ -27,7 +27,7 @@ from gsc_jax.cli.check import Check, run_check
 from gsc_jax.cli.config_file import read_config_file
 from gsc_jax.cli.demo import run_demo
 from gsc_jax.cli.evaluate import run_evaluate
-from gsc_jax.cli.locate import dry_run, replaced, run_locate
+from gsc_jax.cli.locate import dry_run, earlier_results, run_locate
 from gsc_jax.cli.options import Demo, Evaluate, Locate, Render, Tamper, View
 from gsc_jax.cli.progress import Bars
 from gsc_jax.cli.render import run_render
@@ -175,10 +175,10 @@ def _answer(command: Command, monitor: Monitor) -> tuple[list[str], list[str]]:
         case View():
             return run_view(command, monitor=monitor, say=_say)
         case Locate() if not isinstance(command, Scan) and not command.dry_run:
-            before = replaced(command.out)
+            earlier = earlier_results(command.out)
             located = run_locate(command, monitor=monitor)
-            more = [f"writes   {command.out}: {before}"] if before else []
-            return [*summary(located, command.out), *more], located.result.warnings
+            replaced = [f"writes   {command.out}: has replaced {earlier}"] if earlier else []
+            return [*summary(located, command.out), *replaced], located.result.warnings
     runs = {Demo: run_demo, Render: run_render, Tamper: run_tamper, Scan: run_scan, Locate: dry_run}
     return runs[type(command)](command, monitor=monitor)
 

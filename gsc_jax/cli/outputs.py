@@ -33,7 +33,7 @@ from gsc_jax.io.masks import write_image, write_mask, write_probability
 from gsc_jax.io.ply import save_tampered
 from gsc_jax.locate import Result
 from gsc_jax.scene import Camera
-from gsc_jax.scene.parallel import bounded_map, view_threads
+from gsc_jax.scene.parallel import ViewThreads, bounded_map
 
 PACKAGES = ("gsc_jax", "numpy", "jax", "jaxlib", "optax")
 
@@ -60,7 +60,7 @@ def write_results(folder: Path, located: Located, store: ArrayStore, *, monitor:
         write_image(layer_path(folder, "render", name), image)
         write_image(layer_path(folder, "overlay", name), overlay(image, mask, tint))
 
-    with view_threads() as pool:
+    with ViewThreads() as pool:
         list(monitor.track("write", bounded_map(pool, write_view, cameras), len(cameras)))
     _write_overview(folder / "overview.png", cameras, result, store)
 

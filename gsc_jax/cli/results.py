@@ -57,6 +57,7 @@ class _Report(BaseModel):
     verdict: Share | None = None
     attributes: _Attributes | None = None
     judged_views: Count = 0
+    contrasts: dict[str, Share] = {}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

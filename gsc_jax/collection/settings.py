@@ -20,20 +20,10 @@ WITHOUT_EFFECT = ("scene", "out", "config", "dry_run", "memory", "no_cache", "ca
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ScanSettings:
-    """Settings of a scan.
+    """Settings of a scan, named as the options of `gsc-jax scan`, and the folder of compiled code.
 
-    Attributes:
-        command: Options of `gsc-jax locate` for every scene, by the names of their fields.
-        out: Folder that all machines share, written to after each scene; None writes nothing.
-        workers: Scenes that are judged at the same time, each in a process of its own.
-        cpus: Cores of a worker.
-        memory: Memory of a worker in GiB; None is an equal share of half of the machine. A file
-            that expands to more is refused, and Ray starts no more workers than fit.
-        timeout: Seconds after which the process of a scene is killed.
-        retries: How often a scene is tried again after a timeout, a killed process or a lost node.
-        report_above: Scene probability from which the folder of `locate` is written, too; None for
-            no scene, 0 for all.
-        cache: Folder of the persistent compilation cache; None for none.
+    `command` has the options of `gsc-jax locate` for every scene. Nothing is written without `out`.
+    The default memory of a worker is an equal share of half of the machine.
     """
 
     command: Mapping[str, Any] = dataclasses.field(default_factory=dict)

@@ -64,10 +64,11 @@ class SafireDetector(NetworkDetector):
         providers: Sequence[str] = CPU,
         threads: int = 0,
     ):
-        """Load the two networks from a folder or two files, as by `open_session`.
+        """Load encoder.onnx and decoder.onnx of a folder, or an encoder and a decoder.
 
         The `grid` is the number of prompts per side of the image, at least 2, and the `seed` that
-        of the clustering of the masks. InputError if the tensors differ from those above.
+        of the clustering of the masks; `open_session` explains the others. InputError if a file is
+        no valid model, or its tensors differ from those above.
         """
         if not (isinstance(grid, int) and grid >= 2):
             raise InputError(f"SAFIRE: grid is {grid!r}, expected 2 or more points per side")

@@ -12,7 +12,7 @@ from gsc_jax.estimators.protocol import Estimator, Finding, Prior
 from gsc_jax.estimators.robust.estimator import RobustEstimator
 from gsc_jax.evidence.observation import Observation
 from gsc_jax.scene import Camera, Gaussians
-from gsc_jax.scene.parallel import bounded_map, view_threads
+from gsc_jax.scene.parallel import ViewThreads, bounded_map
 
 __all__ = ["METHODS", "Estimator", "Finding", "GSChecker", "Method", "Prior", "RobustEstimator"]
 __all__ += ["configured", "estimate", "sweep"]
@@ -75,7 +75,7 @@ def estimate(
 
 
 def sweep(observation: Observation, estimators: Iterable[Estimator]) -> Iterator[Finding]:
-    """Apply many estimators to one observation, two at a time.
+    """Apply many estimators to one observation, in threads.
 
     Args:
         observation: Evidence and votes, from `observe`.
@@ -84,5 +84,5 @@ def sweep(observation: Observation, estimators: Iterable[Estimator]) -> Iterator
     Returns:
         Iterator over the findings, in the order of the estimators.
     """
-    with view_threads() as pool:
+    with ViewThreads(observation.evidence.shape[1]) as pool:
         yield from bounded_map(pool, lambda estimator: estimator.estimate(observation), estimators)

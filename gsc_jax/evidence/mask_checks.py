@@ -14,7 +14,7 @@ from gsc_jax.evidence.observation import Observation
 from gsc_jax.render.projection import NEAR
 from gsc_jax.scene import Camera
 from gsc_jax.scene.gaussians import filled_up
-from gsc_jax.scene.parallel import bounded_map, view_threads
+from gsc_jax.scene.parallel import ViewThreads, bounded_map
 from gsc_jax.splat import render
 
 CHECKED = 6
@@ -92,7 +92,7 @@ def followed_property(observation: Observation, near: float) -> str | None:
         maps = properties(np.asarray(render(gaussians, camera, near=near)[0]))
         return {name: pixels[::STRIDE, ::STRIDE].ravel() for name, pixels in maps.items()}
 
-    with view_threads() as pool:
+    with ViewThreads(len(gaussians)) as pool:
         views = list(bounded_map(pool, compared, chosen))
     pixels = {name: np.concatenate([view[name] for view in views]) for name in views[0]}
     flagged = np.concatenate([mask(camera) for camera in chosen])

@@ -23,7 +23,7 @@ from gsc_jax.render.spherical_harmonics import colors
 from gsc_jax.render.tiles import make_view, restricted
 from gsc_jax.scene import Array, Camera, Gaussians
 from gsc_jax.scene.gaussians import transparent_rows
-from gsc_jax.scene.parallel import bounded_map, view_threads
+from gsc_jax.scene.parallel import ViewThreads, bounded_map
 from gsc_jax.splat import composite_with_alpha, require_finite
 
 MaskRule = Literal["share", "attribute", "per-view"]
@@ -131,6 +131,8 @@ def stored_masks(
     cameras: Sequence[Camera],
     store: ArrayStore,
     monitor: Monitor,
+    *,
+    gaussians: int = 0,
 ) -> ByView:
     """Put the mask of every view, or its `pictures`, into the store; return the masks."""
 
@@ -141,7 +143,7 @@ def stored_masks(
             for kind, array in zip((MASK, RENDER, SCORE), arrays, strict=False):
                 store.put(kind, camera.name, array)
 
-    with view_threads() as pool:
+    with ViewThreads(gaussians) as pool:
         for done, _ in enumerate(bounded_map(pool, put, cameras), start=1):
             monitor.progress("masks", done, len(cameras))
     names = tuple(camera.name for camera in cameras)

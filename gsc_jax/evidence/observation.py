@@ -22,7 +22,7 @@ from gsc_jax.render.tiles import View, bin_view
 from gsc_jax.scene import Camera, Gaussians, InputError
 from gsc_jax.scene.camera import check_camera
 from gsc_jax.scene.gaussians import filled_up
-from gsc_jax.scene.parallel import bounded_map, view_threads
+from gsc_jax.scene.parallel import ViewThreads, bounded_map
 from gsc_jax.scene.pytree import short_repr
 from gsc_jax.splat import render_view
 from gsc_jax.vote import Tally, cast_votes, no_votes, tally
@@ -112,7 +112,7 @@ def observe(
             mask = store.get(MAP, camera.name) > 0.5
             store.put(EVIDENCE, camera.name, sparse(view_evidence(view, mask)))
 
-    with view_threads() as pool:
+    with ViewThreads(len(gaussians)) as pool:
         lifted = bounded_map(pool, lift, detect())
         list(monitor.track("views", lifted, len(cameras), len(cameras) - len(missing)))
     shape = len(names), len(gaussians)

@@ -33,12 +33,8 @@ NEGLIGIBLE_COUNT = 20
 class Classification:
     """Calibrated output of the classifier for a scene of N Gaussians.
 
-    Attributes:
-        known: Gaussians with features, shape (N,) bool.
-        log_odds: Log odds that a Gaussian is tampered, shape (N,) float32; `base` where not known.
-        base: Log odds without any evidence.
-        peak: Mean log odds of the part of the scene where it is highest.
-        scene_probability: Probability that the scene was edited.
+    The log odds (N,) float32 that a Gaussian is tampered are `base` where no features are `known`,
+    (N,) bool; `peak` is their mean in the part of the scene where it is highest.
     """
 
     known: np.ndarray

@@ -17,7 +17,7 @@ from scipy.spatial import KDTree
 from gsc_jax.forensics.traces import MIN_REGION, Trace, make_trace, region_scores
 from gsc_jax.scene import Gaussians
 from gsc_jax.scene.neighbours import order_of_leaves
-from gsc_jax.scene.parallel import in_blocks, workers
+from gsc_jax.scene.parallel import in_blocks, usable_cores
 from gsc_jax.scene.statistics import principal_axes
 
 APPEARANCE_RADIUS = 0.35
@@ -119,7 +119,7 @@ def _nearest(described: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarr
     points, described = points[leaves], described[leaves]
     tree = KDTree(described, leafsize=LEAF, balanced_tree=False)
     del described
-    found = tree.query(tree.data, k=2, distance_upper_bound=radius, workers=workers())
+    found = tree.query(tree.data, k=2, distance_upper_bound=radius, workers=len(usable_cores()))
     far, near = map(np.asarray, found)
     single, distances = np.isin(points, order[alone]), np.zeros(len(order))
     distances[points[single]] = far[single, 1]

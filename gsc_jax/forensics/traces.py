@@ -79,9 +79,15 @@ def region_scores(
 ) -> np.ndarray:
     """Probability that each Gaussian belongs to a compact region of marks, shape (N,) float32.
 
-    It is the posterior given the own mark, (N,) bool, with the share of marks among the neighbours
-    (N, K) as prior; 0 away from regions, whose neighbourhoods have a share of `min_share`. The rate
-    of marks outside of regions counts as `min_outside` at least; above `max_outside`, all are 0.
+    Args:
+        marked: Marked Gaussians, shape (N,) bool.
+        neighbours: Nearest other Gaussians, shape (N, K).
+        min_share: Share of marks in a neighbourhood that makes it part of a region.
+        max_outside: Rate of marks outside of the regions above which all scores are 0.
+        min_outside: Floor of the rate of marks beside a region.
+
+    Returns:
+        Posterior given the own mark, with the share of marks nearby as prior; 0 away from regions.
     """
     nothing, size = np.zeros(len(marked), np.float32), neighbours.shape[1] + 1
     if marked.sum() < MIN_REGION or not neighbours.size:

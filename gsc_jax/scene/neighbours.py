@@ -6,7 +6,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.spatial import KDTree
 
-from gsc_jax.scene.parallel import blocks, in_blocks, workers
+from gsc_jax.scene.parallel import blocks, in_blocks, usable_cores, workers
 
 OBLIQUE = np.array([[1, 0.0123, 0.0071], [0.0071, 1, 0.0123], [0.0123, 0.0071, 1]], np.float32)
 """Directions along which a point set is halved."""
@@ -78,7 +78,8 @@ def neighbourhoods(points: np.ndarray, k: int) -> tuple[Neighbourhoods, np.ndarr
     tree, shape = KDTree(points, balanced_tree=False), (len(points), k)
     nearest, distances = np.empty(shape, np.int32), np.empty(shape, np.float32)
     for block in blocks(len(points)):  # SciPy's results take four times the memory
-        far, indices = map(np.asarray, tree.query(points[block], k=k + 1, workers=workers()))
+        found = tree.query(points[block], k=k + 1, workers=len(usable_cores()))
+        far, indices = map(np.asarray, found)
         # The first is the point itself, or another one at the same place, at the same distance.
         distances[block], nearest[block] = far[:, 1:], indices[:, 1:]
     return Neighbourhoods(nearest=nearest), distances

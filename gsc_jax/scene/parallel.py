@@ -3,7 +3,7 @@
 import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import cycle
 from typing import TypeVar
 
@@ -15,6 +15,8 @@ Value = TypeVar("Value")
 
 BLOCK = 2**16
 """Rows per block: their intermediate results take a hundred megabytes at most."""
+LARGE = 2**20
+"""Gaussians from which two views at a time use enough memory: up to 180 bytes of each Gaussian."""
 
 
 def usable_cores() -> list[int]:
@@ -23,31 +25,38 @@ def usable_cores() -> list[int]:
     return sorted(affinity(0)) if affinity else list(range(os.cpu_count() or 1))
 
 
-def workers(devices: int = 1) -> int:
-    """Threads: one for each core, since NumPy and XLA use few at once, at most eight a device."""
-    return max(devices, min(8 * devices, len(usable_cores())))
+def workers() -> int:
+    """Threads for rows: at most two, since each holds the intermediate results of a block."""
+    return min(2, len(usable_cores()))
 
 
-def view_threads() -> ThreadPoolExecutor:
-    """Threads for views, which are independent; each thread computes on the next device of JAX."""
-    devices = cycle(jax.local_devices())
+class ViewThreads(ThreadPoolExecutor):
+    """Threads for views of N Gaussians, each of which computes on the next device of JAX.
 
-    def start() -> None:
-        if jax.local_device_count() > 1:  # with one, programs are shared with the main thread
-            jax.default_device(next(devices)).__enter__()  # it ends with the thread
+    There is one for each core, since NumPy and XLA use few at once, but at most eight for each
+    device, and two in scenes that are `LARGE`.
+    """
 
-    return ThreadPoolExecutor(workers(jax.local_device_count()), initializer=start)
+    def __init__(self, gaussians: int = 0) -> None:
+        devices = jax.local_devices()
+        most = (2 if gaussians > LARGE else 8) * len(devices)
+        turn, self.count = cycle(devices), max(len(devices), min(most, len(usable_cores())))
+
+        def start() -> None:
+            if len(devices) > 1:  # with one, programs are shared with the main thread
+                jax.default_device(next(turn)).__enter__()  # it ends with the thread
+
+        super().__init__(self.count, initializer=start)
 
 
 def bounded_map(
-    pool: Executor, function: Callable[[Item], Value], items: Iterable[Item]
+    pool: ViewThreads, function: Callable[[Item], Value], items: Iterable[Item]
 ) -> Iterator[Value]:
-    """Map in the threads of a pool, in order, with at most one item for each of `workers`."""
-    most = workers(jax.local_device_count())
+    """Map in threads, in order; per call, at most one item for each thread is in flight."""
     waiting: deque[Future[Value]] = deque()
     for item in items:
         waiting.append(pool.submit(function, item))
-        if len(waiting) == most:
+        if len(waiting) == pool.count:
             yield waiting.popleft().result()
     while waiting:
         yield waiting.popleft().result()

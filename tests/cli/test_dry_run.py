@@ -42,7 +42,7 @@ def test_existing_results_stay(case, found):
     out, _ = found
     before = contents(out)
     answer = run(*given(case, method="paper", lambda2=3), "--out", out, "--dry-run")
-    assert f"{out}: replaces the results of {case / 'scene.ply'}" in answer.out
+    assert f"{out}: replaces results of '{case / 'scene.ply'}'" in answer.out
     assert "epochs = 5" in answer.out
     assert "loop.lambda2 = 3.0" in answer.out
     assert contents(out) == before

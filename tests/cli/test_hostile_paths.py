@@ -165,6 +165,16 @@ class TestEscapeSequences:
         assert "\\x1b" in message
         assert message.replace("\n", "").isprintable()
 
+    def test_in_the_folder_of_results(self, case, tmp_path):
+        out = tmp_path / "out"
+        out.mkdir()
+        for content in ("[" * 200_000, "[]", "{", '{"command": {"scene": "' + 5000 * "x" + '"}}'):
+            (out / "result.json").write_text(content)
+            assert len(refused(*given(case), "--out", out)) < 1000
+            assert (out / "result.json").read_text() == content
+        pipe(out / "result.json")
+        refused(*given(case), "--out", out)
+
     def test_in_results_and_warnings(self, case, tmp_path):
         scene = tmp_path / f"{ESCAPE}.ply"
         scene.write_bytes((case / "scene.ply").read_bytes())

@@ -133,12 +133,12 @@ def test_result_json_holds_options_configuration_and_counts(case, found):
 
 def test_a_second_run_replaces_the_first_and_nothing_else(case, tmp_path):
     out = tmp_path / "out"
-    assert "replaces the results" not in run(*given(case), "--out", out).out
+    assert "has replaced" not in run(*given(case), "--out", out).out
     (out / "masks" / "mine.png").write_bytes(b"mine")
     (out / "notes.txt").write_text("mine")
     again = run(*given(case, views=1, scale=0.5, method="paper", seed=3), "--out", out)
     assert again.code == 0
-    assert f"{out}: replaces the results of {case / 'scene.ply'}" in again.out
+    assert f"{out}: has replaced results of '{case / 'scene.ply'}'" in again.out
     assert [p.name for p in sorted((out / "masks").rglob("*.png"))] == [
         "img.0001.JPG.png",
         "mine.png",

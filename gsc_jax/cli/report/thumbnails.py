@@ -12,7 +12,7 @@ from urllib.parse import quote
 import numpy as np
 
 from gsc_jax.cli.pictures import layer_path
-from gsc_jax.scene.parallel import bounded_map, view_threads
+from gsc_jax.scene.parallel import ViewThreads, bounded_map
 
 LAYERS = {
     "render": "Render",
@@ -48,7 +48,7 @@ def thumbnails(folder: Path, names: Sequence[str]) -> Iterator[list[Thumbnail]]:
             if (path := layer_path(folder, layer, name)).is_file()
         ]
 
-    with view_threads() as pool:
+    with ViewThreads() as pool:
         yield from bounded_map(pool, of_view, names)
 
 

@@ -1,14 +1,12 @@
 """A finished run of `locate`, and sentences about results for terminal, report and viewer."""
 
 import dataclasses
-import functools
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from gsc_jax.estimators.protocol import Outcome, Reliability, outcome
-from gsc_jax.forensics.contrast import contrasts
 from gsc_jax.forensics.traces import Trace
 from gsc_jax.io.ply import PlyScene
 from gsc_jax.locate import Result
@@ -19,11 +17,8 @@ from gsc_jax.scene import Camera
 class Located:
     """A finished run of `locate`; the masks of the result are files in the folder by now.
 
-    Attributes:
-        cameras: The views that have a mask in the result.
-        result: The result; its times and warnings include those of reading and writing.
-        visible_share: Tampered share of a view, averaged over the views.
-        inputs: Size and SHA-256 of each input file or folder, by path.
+    Times and warnings of the result include those of reading and writing. `visible_share` is the
+    mean tampered share of the views; `inputs` has size and SHA-256 of each input, by path.
     """
 
     scene: PlyScene
@@ -31,11 +26,7 @@ class Located:
     result: Result
     visible_share: float
     inputs: dict[str, dict[str, Any]] = dataclasses.field(default_factory=dict)
-
-    @functools.cached_property
-    def contrasts(self) -> dict[str, float]:
-        """How the labelled Gaussians differ from those around them; see `contrasts`."""
-        return contrasts(self.scene.gaussians, self.result.labels)
+    contrasts: dict[str, float] = dataclasses.field(default_factory=dict)
 
 
 RELIABILITY: dict[Reliability, tuple[str, str, str]] = {
@@ -59,18 +50,18 @@ CONTRASTS = {
     "opacity": ("more opaque", "more transparent"),
     "brightness": ("brighter", "darker"),
     "saturation": ("more colourful", "greyer"),
-    "gloss": ("glossier", "less glossy"),
+    "view dependence": ("more view-dependent", "less view-dependent"),
 }
 """What Gaussians with more and with less of a property are called."""
 MIN_CONTRAST = 0.7
-"""Share of pairs from which a difference is stated."""
+"""Share of pairs above which a difference is stated: chance seldom reaches it, see `MIN_COUNT`."""
 HEADLINES: dict[Outcome, str] = {
     "evidence": "Evidence of editing.",
     "inconclusive": "Inconclusive: it is unclear whether this scene was edited.",
     "none": "No evidence of editing.",
 }
 COUNTS: dict[str, dict[Outcome, tuple[int, int]]] = {
-    "masks and attributes": {"evidence": (0, 83), "inconclusive": (9, 12), "none": (23, 1)},
+    "masks and attributes": {"evidence": (0, 86), "inconclusive": (9, 10), "none": (23, 0)},
     "masks": {"evidence": (3, 91), "inconclusive": (11, 12), "none": (46, 2)},
     "attributes": {"evidence": (1, 30), "inconclusive": (4, 56), "none": (69, 136)},
 }
@@ -113,19 +104,20 @@ def basis(masks: object, attributes: object) -> str:
 def meaning(verdict: float, *, basis: str, traced: object = False) -> str:
     """State how many authentic and edited test scenes had this outcome when judged by that basis.
 
-    No test counts traces, on which a scene probability without masks rests where any is found.
+    No test counts traces, on which a scene probability rests where any is found.
     """
-    if traced and basis == "attributes":
+    if traced and "attributes" in basis:
         return (
-            "It rests on a trace in the stored values. Editing a part of a file leaves one, but so "
-            "may any program that rewrites only a part."
+            f"It rests on {'the masks and on ' if 'masks' in basis else ''}a trace in the stored "
+            "values. Editing a part of a file leaves one, but so may any program that rewrites "
+            "only a part."
         )
     found = outcome(verdict)
     assert found is not None
     counts, totals = COUNTS[basis][found], list(map(sum, zip(*COUNTS[basis].values(), strict=True)))
     authentic, edited = (count / total for count, total in zip(counts, totals, strict=True))
     weak = max(authentic, edited) < MIN_RATIO * min(authentic, edited)
-    kind = "simulated masks alone" if basis == "masks" else f"{basis}, in files exported again"
+    kind = "simulated masks alone" if basis == "masks" else f"{basis}, in re-exported files"
     return (
         f"In tests of {kind}, {counts[0]} of {totals[0]} authentic and {counts[1]} of "
         f"{totals[1]} edited scenes came out like this"
@@ -146,17 +138,16 @@ def conflict(result: Result) -> str | None:
 
 
 def differences(shares: Mapping[str, float]) -> str | None:
-    """State the three largest `contrasts` of labelled Gaussians; None if nothing is known."""
-    if not shares:
-        return None
+    """State the three largest `contrasts` of labelled Gaussians; None if none is large."""
+    shares = {name: share for name, share in shares.items() if name in CONTRASTS}
     found = {CONTRASTS[name][s < 0.5]: max(s, 1 - s) for name, s in shares.items()}
     largest = sorted(found, key=found.__getitem__, reverse=True)[:3]
-    stated = [f"{word} ({percent(found[word])})" for word in largest if found[word] >= MIN_CONTRAST]
+    stated = [f"{word} in {percent(found[word])}" for word in largest if found[word] > MIN_CONTRAST]
     if not stated:
-        return f"They hardly differ from the Gaussians around them in {', '.join(CONTRASTS)}."
+        return None
     return (
-        f"Compared with the Gaussians around them, in most pairs they are {', '.join(stated)}; "
-        "parts that nobody edited may differ as much."
+        "Compared pair by pair with those around them, the labelled Gaussians are "
+        f"{', '.join(stated)} of the pairs; parts that nobody edited may differ, too."
     )
 
 
@@ -173,7 +164,7 @@ def labels_sentence(
         return f"None of {total:,} Gaussians is labelled as tampered; {count} were rendered."
     what = "labelled as tampered"
     if are_candidates(verdict):
-        what = "candidates: if anything was edited, most likely they were"
+        what = "candidates: they stand out most, but an edit may also lie elsewhere"
     return (
         f"{tampered:,} of {total:,} Gaussians ({share(tampered / total)}) are {what}; they cover "
         f"{share(covered)} of the pixels of {count}."
@@ -203,11 +194,13 @@ def summary(located: Located, out: Path) -> list[str]:
     result, verdict, findings = located.result, located.result.verdict, [lead(located)]
     if verdict is not None:
         contradiction = conflict(result)
-        known = {"basis": basis(result.probabilities, result.prior), "traced": found_traces(result)}
+        masks, prior = result.probabilities, result.prior
+        alone = f"; {percent(prior.verdict)} by the attributes alone" if masks and prior else ""
+        known = {"basis": basis(masks, prior), "traced": found_traces(result)}
         findings = [
             *([contradiction] if contradiction else []),
             f"{headline(verdict, int(result.labels.sum()))} {findings[0]}",
-            f"edited   {percent(verdict)} (scene probability). {meaning(verdict, **known)}",
+            f"edited   {percent(verdict)} (scene probability{alone}). {meaning(verdict, **known)}",
         ]
     seconds = {name: stage["seconds"] for name, stage in result.stages.items()}
     slowest = sorted(seconds, key=seconds.__getitem__, reverse=True)[:3]
@@ -220,7 +213,7 @@ def summary(located: Located, out: Path) -> list[str]:
         *findings,
         *([f"masks    {', '.join(kinds)}"] if kinds else []),
         *([f"views    {views}"] if views else []),
-        *([f"beside   {beside}"] if beside else []),
+        *([f"contrast {beside}"] if beside else []),
         *(f"trace    {trace.explanation}" for trace in found_traces(result)),
         f"method   {result.method}",
         f"time     {result.seconds:.1f} s (most work: {times})",

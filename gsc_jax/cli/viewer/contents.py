@@ -8,7 +8,6 @@ import numpy as np
 from gsc_jax.cli.report import wording
 from gsc_jax.cli.results import Results
 from gsc_jax.cli.viewer.splats import Splats, by_importance, splats
-from gsc_jax.forensics.contrast import contrasts
 from gsc_jax.forensics.evidence import forensic_evidence
 from gsc_jax.render.orbit import mean_up
 from gsc_jax.render.projection import NEAR
@@ -59,16 +58,11 @@ MAX_DEPTH_SAMPLES = 20_000
 class Contents:
     """What a viewer shows: N splats, and the cameras of the run, first those that show most labels.
 
-    Attributes:
-        sentences: What the run found.
-        score: Scores, shape (N,) float32.
-        threshold: Score above which the run labelled a Gaussian as tampered.
-        candidates: Whether what is labelled are candidates only.
-        rows: Rows of the splats in the scene file, shape (N,) int64.
-        total: Rows of the scene file.
-        traces: Which Gaussians have each trace that was found, by name, shape (N,) bool.
-        up: Unit up direction, shape (3,).
-        far: Far plane: twice the diagonal of the box around all splats, cameras and their targets.
+    The sentences say what the run found. Above the threshold of the `score` (N,) float32, it has
+    labelled the Gaussians, perhaps as candidates only. `rows` (N,) int64 are those of the splats
+    among the `total` of the scene file, and `traces` (N,) bool mark the Gaussians with each trace
+    that was found. `up` is a unit vector, and the far plane twice the diagonal of the box around
+    all splats, cameras and their targets.
     """
 
     title: str
@@ -127,7 +121,7 @@ def _sentences(results: Results) -> list[str]:
     tampered, views = report["counts"]["tampered"], len(report["per_view"])
     found = {"verdict": verdict, "views": views, "covered": report["tampered_share_of_views"]}
     labels = wording.labels_sentence(tampered, report["counts"]["gaussians"], **found)
-    beside = wording.differences(contrasts(results.scene.gaussians, results.labels))
+    beside = wording.differences(report.get("contrasts", {}))
     labels = f"{labels} {beside}" if beside else labels
     if verdict is None:
         return [labels]

@@ -91,7 +91,7 @@ class Panel {
     for (let i = 0; i < this.count; i++) this.painted[WORDS * i + COLOUR] = this.rgba(i, layer, this.scores[i] > threshold);
     if (this.motion) this.motion.wake(true); else this.draw(this.count);
     this.input("value").textContent = number(threshold);
-    this.input("above").textContent = `${above.toLocaleString("en")} of ${this.count.toLocaleString("en")} Gaussians (${((100 * above) / this.count).toFixed(1)}%) score above it.`;
+    this.input("above").textContent = `${above.toLocaleString("en")} of ${this.count.toLocaleString("en")} Gaussians shown here (${((100 * above) / this.count).toFixed(1)}%) score above it.`;
   }
 
   draw(count) {
@@ -178,10 +178,8 @@ class Panel {
   }
 
   async export() {
-    if (this.input("part").value.endsWith("selected") && !this.selected.includes(1)) {
-      this.say("No Gaussian is selected; drag a box with Shift, or choose the brush.");
-      return;
-    }
+    if (this.input("part").value.endsWith("selected") && !this.selected.includes(1))
+      return this.say("No Gaussian is selected; drag a box with Shift, or choose the brush.");
     // A page that is opened from a file may read no other.
     const answer = location.protocol === "file:" ? null : await fetch("tamper.ply").catch(() => null);
     const content = answer?.ok ? await answer.blob().catch(() => null) : null;

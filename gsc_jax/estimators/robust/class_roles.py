@@ -46,12 +46,8 @@ PSEUDO_VIEWS = 2.0
 class Roles:
     """Patterns of C classes: the authentic one, then the tampered ones, then the distractors.
 
-    Attributes:
-        inverted: Views whose mask is inverted, shape (V,) bool.
-        patterns: Whether a class is flagged in a view, after turning inverted views, (C, V) bool.
-        tampered: Which classes are tampered, shape (C,) bool.
-        rates: Share of the views that see a class in which it is flagged, shape (C,).
-        seen: Number of views that see a class, shape (C,).
+    `patterns` (C, V) bool say whether a class is flagged in a view, after the masks of the
+    `inverted` views (V,) bool are turned; `rates` (C,), in which share of the `seen` (C,) views.
     """
 
     inverted: np.ndarray

@@ -14,7 +14,10 @@ FROM_PRIOR = " The labels come from the attributes of the Gaussians."
 def reliability(
     evidence: EvidenceOfViews, labels: np.ndarray, roles: Roles | None
 ) -> tuple[Reliability, ...]:
-    """Reliability of each of V masks; empty if nothing is labelled, (N,) bool, or without roles."""
+    """Reliability of the mask of each of V views, by the evidence of labelled Gaussians, (N,) bool.
+
+    A word per view; empty if nothing is labelled or all Gaussians belong to one class.
+    """
     if roles is None or not labels.any():
         return ()
     sums = [

@@ -1,5 +1,6 @@
 """Sentences about results."""
 
+import dataclasses
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -99,9 +100,8 @@ def test_the_rates_are_those_of_what_the_run_used(tmp_path: Path):
     assert "In tests of simulated masks alone" in edited(verdict=0.9, prior=None)
 
 
-def test_a_trace_without_masks_is_said_to_decide():
-    assert "stored values" in wording.meaning(0.99, basis="attributes", traced=True)
-    for basis, traced in (("masks", True), ("masks and attributes", True), ("attributes", False)):
+def test_without_attributes_or_traces_the_rates_are_those_of_tests():
+    for basis, traced in (("masks", True), ("masks and attributes", False), ("attributes", False)):
         assert "In tests" in wording.meaning(0.99, basis=basis, traced=traced)
 
 
@@ -124,7 +124,7 @@ def test_share_is_zero_or_all_only_if_exact(part: float):
 def test_labels_are_candidates_without_evidence_of_editing():
     for verdict in (0.0, 0.4, EVIDENCE_FROM - 1e-6):
         text = wording.labels_sentence(3, 10, verdict=verdict, views=1, covered=0.5)
-        assert text.startswith("3 of 10 Gaussians (30.0%) are candidates: if anything was edited")
+        assert text.startswith("3 of 10 Gaussians (30.0%) are candidates: they stand out most")
         assert "None of 10" in wording.labels_sentence(0, 10, verdict=verdict, views=1, covered=0.0)
     for verdict in (None, EVIDENCE_FROM, 1.0):
         text = wording.labels_sentence(3, 10, verdict=verdict, views=1, covered=0.5)
@@ -139,14 +139,36 @@ def test_every_trace_has_an_explanation():
 def test_the_largest_differences_are_stated_and_no_small_ones():
     shares = dict.fromkeys(wording.CONTRASTS, 0.5)
     assert wording.differences({}) is None
-    assert "hardly differ" in str(wording.differences(shares))
-    shares |= {"size": 0.02, "opacity": 0.8, "brightness": 0.71, "gloss": 0.29, "flatness": 0.69}
+    assert wording.differences(shares) is None
+    shares |= {"size": 0.02, "opacity": 0.8, "brightness": 0.71, "flatness": 0.69, "other": 1}
     stated = str(wording.differences(shares))
-    assert "smaller (98%), more opaque (80%)," in stated
-    assert "rounder" not in stated
-    assert stated.count("%") == 3
+    assert "smaller in 98%, more opaque in 80%, brighter in 71% of the pairs" in stated
+    shares |= {"view dependence": 0.25}
+    stated = str(wording.differences(shares))
+    assert "more opaque in 80%, less view-dependent in 75% of the pairs" in stated
 
 
 def test_every_contrast_has_words():
-    labels = np.arange(400) < 200
+    labels = np.random.default_rng(0).random(400) < 0.5
     assert contrasts(random_scene(400), labels).keys() == wording.CONTRASTS.keys()
+
+
+def test_the_summary_states_differences_and_what_the_attributes_say(tmp_path: Path):
+    located = run(tmp_path, NAMES[:1], prior=SimpleNamespace(verdict=0.1, traces=()))
+    located = dataclasses.replace(located, contrasts={"size": 0.01})
+    text = "\n".join(wording.summary(located, Path("out")))
+    assert "contrast Compared pair by pair" in text
+    assert "smaller in 99% of the pairs" in text
+    assert "(scene probability; 10% by the attributes alone)" in text
+    without = wording.summary(run(tmp_path, NAMES[:1], prior=None), Path("out"))
+    assert "alone)" not in "\n".join(without)
+    assert "contrast" not in "\n".join(without)
+
+
+def test_with_masks_a_trace_is_named_too():
+    for basis, start in (
+        ("masks and attributes", "It rests on the masks and on a trace"),
+        ("attributes", "It rests on a trace"),
+        ("masks", "In tests of simulated masks alone"),
+    ):
+        assert wording.meaning(0.9, basis=basis, traced=True).startswith(start)

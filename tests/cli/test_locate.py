@@ -14,7 +14,9 @@ from plyfile import PlyData
 from gsc_jax.benchmark.metrics import confusion
 from gsc_jax.cli.pictures import layer_path
 from gsc_jax.cli.staging import BY_CAMERA, EVALUATION_MARK, FILES
+from gsc_jax.forensics.contrast import contrasts
 from gsc_jax.io.masks import image_path, read_probability, write_mask
+from gsc_jax.io.ply import read_ply
 
 case, found, own_cache = FIXTURES
 pytestmark = pytest.mark.usefixtures("own_cache")
@@ -123,6 +125,9 @@ def test_result_json_holds_options_configuration_and_counts(case, found):
     assert result["views"] == result["judged_views"] == 3
     assert [view["name"] for view in views] == list(NAMES)
     areas = [view["tampered_share"] for view in views]
+    scene = read_ply(case / "scene.ply")
+    labels = np.load(out / "labels.npy")[scene.rows]
+    assert result["contrasts"] == contrasts(scene.gaussians, labels)
     assert result["tampered_share_of_views"] == pytest.approx(np.mean(areas))
     assert areas[0] == pytest.approx(iio.imread(image_path(out / "masks", NAMES[0])).mean() / 255)
     assert {"load", "lift", "optimise", "masks", "write"} < set(result["stages"])

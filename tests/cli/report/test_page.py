@@ -53,6 +53,20 @@ def test_every_view_has_all_layers(page: Page):
         assert image["src"].startswith("data:image/")
 
 
+def test_the_reasons_stand_above_the_views(tmp_path: Path):
+    located = dataclasses.replace(run(tmp_path, NAMES), contrasts={"size": 0.02})
+    page = write(tmp_path, located)
+    first, _, _ = page.text.partition("1 warning")
+    for text in (
+        "100 of 400 Gaussians are off.",
+        "by the attributes alone, 83%",
+        "smaller in 98% of the pairs",
+        "It rests on the masks and on a trace",
+    ):
+        assert text in first, text
+    assert json.loads((tmp_path / "result.json").read_text())["contrasts"] == {"size": 0.02}
+
+
 def test_every_number_of_the_result_is_on_the_page(folder: Path, page: Page):
     report = json.loads((folder / "result.json").read_text())
     for text in (

@@ -99,6 +99,7 @@ def test_the_page_has_the_reason_and_the_reservation(results: Results):
     assert "rests on a trace in the stored values" in traced
     assert trace["quantisation"] in traced
     assert "In tests of attributes, in re-exported files" in sentences(attributes={"traces": {}})
+    assert "smaller in 98% of the pairs" in sentences(contrasts={"size": 0.02})
     both = sentences(attributes={"traces": {}}, judged_views=3)
     assert "In tests of masks and attributes" in both
     assert "In tests of simulated masks alone" in sentences(judged_views=3)

@@ -120,9 +120,8 @@ def _sentences(results: Results) -> list[str]:
     report, verdict = results.report, results.report.get("verdict")
     tampered, views = report["counts"]["tampered"], len(report["per_view"])
     found = {"verdict": verdict, "views": views, "covered": report["tampered_share_of_views"]}
-    labels = wording.labels_sentence(tampered, report["counts"]["gaussians"], **found)
-    beside = wording.differences(report.get("contrasts", {}))
-    labels = f"{labels} {beside}" if beside else labels
+    said = wording.labels_sentence(tampered, report["counts"]["gaussians"], **found)
+    labels = " ".join(filter(None, [said, wording.differences(report.get("contrasts", {}))]))
     if verdict is None:
         return [labels]
     attributes = report.get("attributes") or {}

@@ -87,6 +87,8 @@ class Panel {
   paint() {
     const { threshold } = this, layer = this.input("layer").value;
     const above = this.scores.filter((score) => score > threshold).length;
+    this.input("legend").hidden = layer !== "result";
+    this.input("colours").style.display = layer === "heat map" ? "" : "none";
     this.painted = this.original.slice();
     for (let i = 0; i < this.count; i++) this.painted[WORDS * i + COLOUR] = this.rgba(i, layer, this.scores[i] > threshold);
     if (this.motion) this.motion.wake(true); else this.draw(this.count);

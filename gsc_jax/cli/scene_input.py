@@ -82,7 +82,7 @@ def _read_cameras(
         cameras, place = indoors or orbit, "in and around the room" if indoors else "on an orbit"
         warnings.append(
             f"no --cameras given: {count} cameras were placed {place}, with {up_text(up)} as the "
-            "up direction (--up), and written beside the results; those of the training are better"
+            "up direction (--up), and written beside the results; the training cameras show more"
         )
     scaled = [camera.scaled(options.scale) for camera in cameras]
     for camera in scaled:

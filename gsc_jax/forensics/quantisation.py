@@ -54,7 +54,7 @@ def quantisation(gaussians: Gaussians, neighbours: np.ndarray) -> Trace:
         one = region_scores(odd.mean(axis=0) > 0.5, neighbours)
         score = 1 - (1 - score) * (1 - one)
         names += [name] * bool((one > 0.5).any())
-    found = f"have {' and '.join(names)} off the values that the others share"
+    found = f"have {' and '.join(names)} off the grid of values that the others share"
     return make_trace("quantisation", score, found, "No part has quantisation levels of its own.")
 
 

@@ -186,7 +186,7 @@ class Panel {
     const answer = location.protocol === "file:" ? null : await fetch("tamper.ply").catch(() => null);
     const content = answer?.ok ? await answer.blob().catch(() => null) : null;
     if (content) { await this.write(content); return; }
-    this.say("Choose tamper.ply in the folder of these results.");
+    this.say("This page has no copy of the scene file: choose tamper.ply in the folder of these results.");
     this.input("file").value = "";
     this.input("file").click();
   }

@@ -33,7 +33,7 @@ RELIABILITY: dict[Reliability, tuple[str, str, str]] = {
     "reliable": ("●", "reliable", "The view shows the edit, and the mask flags most of it."),
     "inverted": ("◇", "inverted", "The mask flags everything except the edit; it is inverted."),
     "uninformative": ("▽", "uninformative", "The mask does not flag most of the visible edit."),
-    "unseen": ("✕", "edit not in view", "The view does not show the edit."),
+    "unseen": ("✕", "too little in view", "The view shows too little of the edit to judge a mask."),
 }
 """Sign, name and explanation of each reliability of a mask, the most useful first."""
 TRACES = {
@@ -110,7 +110,7 @@ def meaning(verdict: float, *, basis: str, traced: object = False) -> str:
         return (
             f"It rests on {'the masks and on ' if 'masks' in basis else ''}a trace in the stored "
             "values. Editing a part of a file leaves one, but so may any program that rewrites "
-            "only a part."
+            "only a part; and of two parts, the one that is not labelled may be the edit."
         )
     found = outcome(verdict)
     assert found is not None
@@ -120,7 +120,7 @@ def meaning(verdict: float, *, basis: str, traced: object = False) -> str:
     kind = "simulated masks alone" if basis == "masks" else f"{basis}, in re-exported files"
     return (
         f"In tests of {kind}, {counts[0]} of {totals[0]} authentic and {counts[1]} of "
-        f"{totals[1]} edited scenes came out like this"
+        f"{totals[1]} edited scenes had this outcome"
         f"{': on its own, it says little about whether a scene was edited' if weak else ''}."
     )
 
@@ -146,7 +146,7 @@ def differences(shares: Mapping[str, float]) -> str | None:
     if not stated:
         return None
     return (
-        "Compared pair by pair with those around them, the labelled Gaussians are "
+        "Compared pair by pair with those around them, these Gaussians are "
         f"{', '.join(stated)} of the pairs; parts that nobody edited may differ, too."
     )
 

@@ -52,7 +52,7 @@ class Options:
 
 
 def main(options: Options) -> None:
-    """Measure every row in a new process, print the table and save it."""
+    """Measure each row of the table in a new process, print it, and save all rows."""
     if options.child:
         cores = range(options.threads or len(os.sched_getaffinity(0)))
         with mock.patch("gsc_jax.scene.parallel.usable_cores", return_value=cores):

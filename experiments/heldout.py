@@ -88,8 +88,9 @@ def report(rows: Frame) -> str:
     some, none = edited.verdict, authentic.verdict
     ranks = auc(np.append(some, none), np.arange(len(some) + len(none)) < len(some))
     tables.append(
-        f"Scene probability: AUC {ranks:.2f}; {ALARM} or more for {int((none >= ALARM).sum())} of "
-        f"{len(none)} authentic and {int((some >= ALARM).sum())} of {len(some)} edited cases."
+        f"Scene probability: AUC {ranks:.2f}; it is {ALARM} or more for "
+        f"{int((none >= ALARM).sum())} of {len(none)} authentic and "
+        f"{int((some >= ALARM).sum())} of {len(some)} edited cases."
     )
     return "\n\n".join(tables)
 

@@ -99,7 +99,7 @@ class Shown:
             self.input("export").click()
 
     def picture(self) -> np.ndarray:
-        """The canvas, (H, W, 3) in [0, 1]; black as long as there is none."""
+        """Picture of the canvas, (H, W, 3) in [0, 1]; black before the page has a canvas."""
         url = self.browser.execute_script(PICTURE, WIDTH)
         if url is None:
             return np.zeros((WIDTH, WIDTH, 3))

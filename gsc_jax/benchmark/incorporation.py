@@ -127,7 +127,7 @@ def placement_cost(
 
 
 def extent(gaussians: Gaussians) -> tuple[np.ndarray, np.ndarray]:
-    """Box of the opaque centres without 0.5 % on each side; InputError if too few or a point."""
+    """Box of the opaque centres without 0.5 % on each side; InputError if few or flat."""
     opaque = np.asarray(gaussians.opacities) > 0.5
     means = np.asarray(gaussians.means, np.float64)
     if np.count_nonzero(opaque) < 10:

@@ -98,7 +98,7 @@ class EditRejected(Exception):  # noqa: N818 - not an error: another attempt may
 def measure_visibility(
     gaussians: Gaussians, cameras: Sequence[Camera], *, near: float = NEAR
 ) -> Visibility:
-    """Measure visibility from at most `MAX_VIEWS` views; InputError if nothing can be edited."""
+    """Measure what at most `MAX_VIEWS` cameras see; InputError if it is nothing to edit."""
     check_views(gaussians, cameras, near=near)
     chosen = np.unique(np.linspace(0, len(cameras) - 1, min(MAX_VIEWS, len(cameras))).astype(int))
     small = [scaled_down(cameras[view]) for view in chosen]

@@ -129,7 +129,7 @@ def _identity(inputs: Inputs) -> str:
 
 
 def earlier_results(out: Path) -> str | None:
-    """What a run replaces in its folder, in words; None if it holds no results."""
+    """Words for the results in a folder, as "results of 'scene.ply'"; None if it has none."""
     path, scene = out / "result.json", ""
     if not path.exists():
         return None

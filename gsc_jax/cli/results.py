@@ -62,7 +62,7 @@ class _Report(BaseModel):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Results:
-    """A folder of results; its report is the content of result.json.
+    """A folder of results of `locate`; `report` is the content of its result.json.
 
     Of the N Gaussians that can be rendered, it has the scores `tamper` in [0, 1], (N,) float32, and
     the labels, (N,) bool. The cameras are those of the masks, at their size.

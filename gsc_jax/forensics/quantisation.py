@@ -25,8 +25,8 @@ MIN_EIGENVALUE = 0.7
 """Correlation of the exact levels of neighbours, given their bins, above which there are two sets:
 at most 0.56 in authentic objects with one codebook, 0.77 to 0.98 in edits."""
 MAX_SINGLE_SHARE = 0.3
-"""Share of unique values in a region above which its other values are equal by chance. It was 0.40
-where an exporter had merged Gaussians of one colour, at most 0.04 in pasted objects (by hand)."""
+"""Share of unique values in a region above which its other values are equal by chance: 0.40 in a
+scene where an exporter had merged similar Gaussians, at most 0.04 in pasted objects (by hand)."""
 SCENE_FACTOR = 2.0
 """Weight of distances to the levels of the scene, since those of an edit scatter towards them."""
 MAX_BLOCK_SHARE = 0.2

@@ -16,7 +16,7 @@ TAMPERED_COLOR, CANDIDATE_COLOR = np.array([1.0, 0.1, 0.1]), np.array([0.1, 0.45
 def save_highlight(
     path: str | Path, gaussians: Gaussians, labels: Array, *, candidates: bool = False
 ) -> None:
-    """Write a copy with labelled Gaussians, (N,) bool, red, candidates blue, the others grey."""
+    """Write a copy: labelled Gaussians, (N,) bool, are red, candidates blue, all others grey."""
     color = CANDIDATE_COLOR if candidates else TAMPERED_COLOR
     host, labels = jax.tree.map(np.asarray, gaussians), np.asarray(labels, bool)
 

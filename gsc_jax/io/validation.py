@@ -84,7 +84,7 @@ def reported(before: str, after: str) -> Iterator[None]:
 def naming(
     where: object, *, errors: type[ValueError] = InputError, remedy: str = ""
 ) -> Iterator[None]:
-    """Report these errors as InputErrors that begin with where they come from."""
+    """Turn errors in the block into InputErrors whose messages begin with `where`."""
     try:
         yield
     except errors as error:

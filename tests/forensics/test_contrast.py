@@ -25,7 +25,7 @@ def cloud() -> tuple[Gaussians, np.ndarray]:
 
 
 def changed(gaussians: Gaussians, rows: np.ndarray, name: str) -> Gaussians:
-    """The Gaussians, of which some have much more of one property and as much of the others."""
+    """Raise one property of some of the Gaussians much, and leave the other properties."""
     log_scales, sh = np.array(gaussians.log_scales), np.array(gaussians.sh)
     opacities = np.array(gaussians.logit_opacities)
     if name == "size":

@@ -52,7 +52,7 @@ CONTRASTS = {
     "saturation": ("more colourful", "greyer"),
     "view dependence": ("more view-dependent", "less view-dependent"),
 }
-"""What Gaussians with more and with less of a property are called."""
+"""Words for Gaussians that have more of a property, and for those that have less."""
 MIN_CONTRAST = 0.7
 """Share of pairs above which a difference is stated: chance seldom reaches it, see `MIN_COUNT`."""
 HEADLINES: dict[Outcome, str] = {

@@ -1,4 +1,4 @@
-"""Collects what `gsc-jax view` shows: Gaussians, cameras, and the sentences of its panel."""
+"""Collects what the page of `gsc-jax view` shows: Gaussians, cameras, and sentences about them."""
 
 import dataclasses
 from typing import NamedTuple

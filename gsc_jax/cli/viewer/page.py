@@ -60,7 +60,7 @@ def _heat(count: int) -> list[list[int]]:
     """RGB colours of the heat map, 0 to 255, from score 0 to score 1, which is lighter."""
     from matplotlib import colormaps
 
-    # Perceptually uniform, also for colour-blind readers.
+    # Viridis has even steps for the eye, also for colour-blind readers.
     return np.rint(255 * colormaps["viridis"](np.linspace(0, 1, count))[:, :3]).astype(int).tolist()
 
 

@@ -80,7 +80,7 @@ def write_page(path: Path, page: str) -> str:
 
 @contextlib.contextmanager
 def serving(page: str, scene: Path, *, token: str, host: str, port: int) -> Iterator[int]:
-    """Serve a page and a scene file below `token` in a block, at any port if `port` is taken."""
+    """Serve both at addresses that begin with the token; at a free port if `port` is taken."""
     facts = {"page": page.encode(), "scene": scene, "token": token.encode()}
     handler = type("Handler", (_Handler,), {**facts, "log_message": lambda *_: None})
     try:

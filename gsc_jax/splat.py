@@ -24,7 +24,7 @@ from gsc_jax.render.projection import NEAR, project
 from gsc_jax.render.reprojection import require_view_of
 from gsc_jax.render.spherical_harmonics import colors
 from gsc_jax.render.tiles import TILE, View, make_view
-from gsc_jax.render.walk import groups, join_tiles, split_tiles, walk
+from gsc_jax.render.walk import groups, in_parts, join_tiles, split_tiles, walk
 from gsc_jax.scene import Array, Camera, Gaussians
 
 
@@ -42,24 +42,32 @@ def composite(view: View, features: jax.Array) -> jax.Array:
     where the gradient is `accumulate`, and to `view.splats`.
     """
     _require_rows(view, features)
-    return join_tiles(_blended(view.of_any_size, features), view.width, view.height)
+    parts = in_parts(_blended, view.of_any_size, features)
+    return join_tiles(_in_place(*zip(*parts, strict=True)), view.width, view.height)
 
 
 @jax.jit
-def _blended(view: View, features: jax.Array) -> jax.Array:
-    """The tiles of the image in row-major order, shape (padded tiles + 1, D, 64)."""
+def _blended(view: View, features: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """The tiles (T,) of a view, and the image in these, shape (T, D, 64)."""
     padded = jnp.pad(features, ((0, 1), (0, 0)))
 
     def visit(image, ids, weights, _):
-        # XLA fuses this product and sum; an einsum would become a batch of tiny matrix products.
-        return image + jnp.sum(weights[:, :, None, :] * padded[ids][..., None], axis=1)
+        # XLA fuses this; an einsum would become a batch of tiny matrix products.
+        pairs = zip(weights.swapaxes(0, 1), padded[ids].swapaxes(0, 1), strict=True)
+        return image + sum(w[:, None] * f[..., None] for w, f in pairs)
 
     def blend(group):
         return walk(view, group, visit, jnp.zeros((view.lockstep, features.shape[1], TILE * TILE)))
 
     blended = jax.lax.map(blend, groups(view))
-    blended = blended.reshape(-1, *blended.shape[2:])
-    return jnp.zeros((len(view.tiles) + 1, *blended.shape[1:])).at[view.tiles].set(blended)
+    return view.tiles, blended.reshape(-1, *blended.shape[2:])
+
+
+@jax.jit
+def _in_place(tiles: Sequence[jax.Array], blended: Sequence[jax.Array]) -> jax.Array:
+    """The tiles of the image in row-major order, shape (padded tiles + 1, D, 64)."""
+    order, image = jnp.concatenate(tiles), jnp.concatenate(blended)
+    return jnp.zeros((len(image) + 1, *image.shape[1:])).at[order].set(image)
 
 
 @jax.custom_vjp
@@ -70,7 +78,7 @@ def accumulate(view: View, maps: jax.Array) -> jax.Array:
     """
     if maps.ndim != 3 or maps.shape[:2] != (view.height, view.width):
         raise ValueError(f"maps must be ({view.height}, {view.width}, D), got {maps.shape}")
-    return _lifted(view.of_any_size, split_tiles(maps, len(view.tiles)))
+    return sum(in_parts(_lifted, view.of_any_size, split_tiles(maps, len(view.tiles))))
 
 
 @jax.jit

@@ -40,6 +40,7 @@ from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.io.validation import printable, suggestion
 from gsc_jax.render.up import AXES
 from gsc_jax.scene import InputError
+from gsc_jax.scene.parallel import compute_in_calling_thread
 
 Command = Locate | Scan | Render | Tamper | Evaluate | Check | Verify | View | Demo
 COMMANDS: dict[str, type] = {kind.__name__.lower(): kind for kind in get_args(Command)}
@@ -149,6 +150,7 @@ def _escaped_stderr(argv: Sequence[str]) -> Iterator[None]:
 
 def _run(command: Command) -> None:
     """Run a command; print its lines, and last of all the warnings."""
+    if not os.environ.get("GSC_OLD"): compute_in_calling_thread()
     if not getattr(command, "no_cache", False):
         enable_compilation_cache(cache_folder())
     own: list[str] = []

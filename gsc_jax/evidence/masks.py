@@ -100,7 +100,8 @@ def view_mask(
         return _per_view_mask(gaussians, camera, scored, threshold=threshold, near=near)
     if rule == "share":
         return rendered_share(gaussians, camera, scored.labels, near=near) > 0.5
-    return rendered_share(gaussians, camera, scored.tamper, near=near) > threshold
+    share = rendered_share(gaussians, camera, scored.tamper, near=near, above=threshold)
+    return share > threshold
 
 
 def pictures(
@@ -151,7 +152,12 @@ def stored_masks(
 
 
 def rendered_share(
-    gaussians: Gaussians, camera: Camera, feature: Array, *, near: float = NEAR
+    gaussians: Gaussians,
+    camera: Camera,
+    feature: Array,
+    *,
+    near: float = NEAR,
+    above: float | None = None,
 ) -> np.ndarray:
     """Render the weighted mean of a feature; `jax.grad` works for the feature and the Gaussians.
 
@@ -160,6 +166,7 @@ def rendered_share(
         camera: The view.
         feature: A number per Gaussian, shape (N,).
         near: Near plane in world units.
+        above: Render only the tiles whose mean may exceed this.
 
     Returns:
         Mean of the feature by blending weight, shape (H, W); 0 where alpha is 0.1 or less.
@@ -172,7 +179,9 @@ def rendered_share(
         raise ValueError(f"feature must have shape ({len(gaussians)},), got {feature.shape}")
     view = make_view(gaussians, camera, near=near)
     if not isinstance(feature, Tracer):
-        view = restricted(view, np.asarray(feature) != 0)
+        values = np.asarray(feature)
+        # A mean exceeds the largest value by a rounding error only.
+        view = restricted(view, values != 0 if above is None else values > 0.99 * above)
     image, alpha = composite_with_alpha(view, feature[:, None])
     if not isinstance(image, Tracer):
         image, alpha = np.asarray(image), np.asarray(alpha)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from gsc_jax.render.tiles import TILE, View
-from gsc_jax.render.walk import MAX_ALPHA, groups, pixel_centers, split_tiles, walk
+from gsc_jax.render.walk import MAX_ALPHA, groups, in_parts, pixel_centers, split_tiles, walk
 from gsc_jax.scene import Array
 
 
@@ -27,15 +27,18 @@ def derivatives(
     The features have shape (N, D), their image W c and its cotangent (H, W, D). Returns the
     derivatives by `view.splats`, (N + 1, 6), and by the features, (N, D).
     """
-    tiled, blended = (split_tiles(maps, len(view.tiles)) for maps in (cotangent, image))
-    return _by_splats_and_features(view.of_any_size, features, blended, tiled)
+    tiled = [split_tiles(maps, len(view.tiles)) for maps in (image, cotangent)]
+    sums = sum(in_parts(_moments, view.of_any_size, (features, *tiled)))
+    return _by_splat(jnp.asarray(view.splats), sums[:, :6]), sums[:-1, 6:]
 
 
 @jax.jit
-def _by_splats_and_features(
-    view: View, features: jax.Array, blended: jax.Array, tiled: jax.Array
-) -> tuple[jax.Array, jax.Array]:
-    """As `derivatives`, of an image and a cotangent in tiles (padded tiles + 1, D, 64)."""
+def _moments(view: View, values: tuple[jax.Array, jax.Array, jax.Array]) -> jax.Array:
+    """Moments of alpha dL/dalpha about each splat, and dL/dfeatures, shape (N + 1, 6 + D).
+
+    The values are the features, and the image and its cotangent in tiles, (tiles + 1, D, 64).
+    """
+    features, blended, tiled = values
     splats, padded = jnp.asarray(view.splats), jnp.pad(features, ((0, 1), (0, 0)))
     rests = jnp.sum(tiled * blended, axis=1)
     y, x = np.divmod(np.arange(TILE * TILE, dtype=np.float32), TILE)
@@ -59,8 +62,7 @@ def _by_splats_and_features(
         return walk(view, group, visit, (sums, rests[group[0]]))[0], None
 
     sums = jnp.zeros((view.splats.shape[0], 6 + features.shape[1]))
-    sums = jax.lax.scan(gather, sums, groups(view))[0]
-    return _by_splat(splats, sums[:, :6]), sums[:-1, 6:]
+    return jax.lax.scan(gather, sums, groups(view))[0]
 
 
 def _about(moments: jax.Array, center: jax.Array) -> jax.Array:

@@ -3,9 +3,8 @@
 The sizes depend on the data, so the lists are built in NumPy on the host. A splat covers the
 ellipse alpha >= 1/255, a tile the rectangle spanned by its pixel centres. Both are convex, so the
 lists are exact: each ellipse is intersected with the strip of each row of tiles, and the columns
-that the intersection covers are listed. Splats are sorted by depth once, with 64-bit keys, which
-NumPy 2 sorts with vector instructions. Sorting by tile is a counting sort: the lists are the
-transpose of a sparse matrix of splats and tiles.
+that the intersection covers are listed. Splats are sorted by depth once. Sorting by tile is a
+counting sort: the lists are the transpose of a sparse matrix of splats and tiles.
 """
 
 import contextlib
@@ -193,11 +192,15 @@ def bin_splats(splats: Splats, width: int, height: int) -> TileLists:
 
 
 def _front_to_back(depths: np.ndarray, visible: np.ndarray) -> np.ndarray:
-    """Indices of the visible splats by depth, ties by index: positive floats sort as their bits."""
+    """Indices of the visible splats by depth, ties by index: positive floats sort as their bits.
+
+    A stable sort of 16 bits is a radix sort in NumPy: two of them are faster than one of 64 bits.
+    """
     index = np.flatnonzero(visible)
-    keys = (depths.take(index).view(np.int32).astype(np.int64) << 32) + index
-    keys.sort()
-    return keys.astype(np.int32)
+    bits = depths.take(index).view(np.uint32)
+    order = np.argsort(bits.astype(np.uint16), kind="stable")
+    order = order.take(np.argsort((bits >> 16).astype(np.uint16).take(order), kind="stable"))
+    return index.take(order).astype(np.int32)
 
 
 def _ends(lengths: np.ndarray) -> np.ndarray:

@@ -30,6 +30,26 @@ def workers() -> int:
     return min(2, len(usable_cores()))
 
 
+def compute_in_calling_thread() -> None:
+    """Make XLA compute on the CPU in the thread that calls it, without threads of its own.
+
+    XLA divides even the small steps of a walk among all cores and waits for them, which takes
+    longer than it saves where views already have a thread for each core. Changes JAX in this
+    process, before it has computed anything: for programs, not for libraries. Without effect on
+    systems without affinities (macOS, Windows).
+    """
+    if not hasattr(os, "sched_setaffinity"):
+        return
+    jax.config.update("jax_cpu_enable_async_dispatch", False)
+    cores = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(cores)})  # the pool of XLA is as large as this set
+    try:
+        jax.devices()
+    finally:
+        for thread in os.listdir("/proc/self/task"):
+            os.sched_setaffinity(int(thread), cores)
+
+
 class ViewThreads(ThreadPoolExecutor):
     """Threads for views of N Gaussians, each of which computes on the next device of JAX.
 

@@ -49,7 +49,8 @@ def _moments(view: View, values: tuple[jax.Array, jax.Array, jax.Array]) -> jax.
 
         def visit(carry, ids, weights, alphas):
             sums, rest = carry
-            values = weights * jnp.sum(padded[ids][..., None] * g[:, None], axis=2)
+            channels = zip(jnp.moveaxis(padded[ids], 2, 0), g.swapaxes(0, 1), strict=True)
+            values = weights * sum(c[..., None] * by[:, None] for c, by in channels)
             behind = rest[:, None] - jnp.cumsum(values, axis=1)
             slopes = values - behind * alphas / (1.0 - alphas)
             slopes = jnp.where((weights > 0) & (alphas < MAX_ALPHA), slopes, 0.0)

@@ -24,7 +24,7 @@ from gsc_jax.render.projection import NEAR, project
 from gsc_jax.render.reprojection import require_view_of
 from gsc_jax.render.spherical_harmonics import colors
 from gsc_jax.render.tiles import TILE, View, make_view
-from gsc_jax.render.walk import groups, in_parts, join_tiles, split_tiles, walk
+from gsc_jax.render.walk import groups, in_parts, in_row_major_order, join_tiles, split_tiles, walk
 from gsc_jax.scene import Array, Camera, Gaussians
 
 
@@ -43,7 +43,7 @@ def composite(view: View, features: jax.Array) -> jax.Array:
     """
     _require_rows(view, features)
     parts = in_parts(_blended, view.of_any_size, features)
-    return join_tiles(_in_place(*zip(*parts, strict=True)), view.width, view.height)
+    return join_tiles(in_row_major_order(parts), view.width, view.height)
 
 
 @jax.jit
@@ -60,14 +60,7 @@ def _blended(view: View, features: jax.Array) -> tuple[jax.Array, jax.Array]:
         return walk(view, group, visit, jnp.zeros((view.lockstep, features.shape[1], TILE * TILE)))
 
     blended = jax.lax.map(blend, groups(view))
-    return view.tiles, blended.reshape(-1, *blended.shape[2:])
-
-
-@jax.jit
-def _in_place(tiles: Sequence[jax.Array], blended: Sequence[jax.Array]) -> jax.Array:
-    """The tiles of the image in row-major order, shape (padded tiles + 1, D, 64)."""
-    order, image = jnp.concatenate(tiles), jnp.concatenate(blended)
-    return jnp.zeros((len(image) + 1, *image.shape[1:])).at[order].set(image)
+    return jnp.asarray(view.tiles), blended.reshape(-1, *blended.shape[2:])
 
 
 @jax.custom_vjp
@@ -78,7 +71,8 @@ def accumulate(view: View, maps: jax.Array) -> jax.Array:
     """
     if maps.ndim != 3 or maps.shape[:2] != (view.height, view.width):
         raise ValueError(f"maps must be ({view.height}, {view.width}, D), got {maps.shape}")
-    return sum(in_parts(_lifted, view.of_any_size, split_tiles(maps, len(view.tiles))))
+    parts = in_parts(_lifted, view.of_any_size, split_tiles(maps, len(view.tiles)))
+    return sum(parts[1:], parts[0])
 
 
 @jax.jit

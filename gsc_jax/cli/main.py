@@ -28,7 +28,7 @@ from gsc_jax.cli.config_file import read_config_file
 from gsc_jax.cli.demo import run_demo
 from gsc_jax.cli.evaluate import run_evaluate
 from gsc_jax.cli.locate import dry_run, earlier_results, run_locate
-from gsc_jax.cli.options import Demo, Evaluate, Locate, Render, Tamper, View
+from gsc_jax.cli.options import Demo, Evaluate, Locate, Render, SceneOptions, Tamper, View
 from gsc_jax.cli.progress import Bars
 from gsc_jax.cli.render import run_render
 from gsc_jax.cli.report.wording import summary
@@ -150,7 +150,8 @@ def _escaped_stderr(argv: Sequence[str]) -> Iterator[None]:
 
 def _run(command: Command) -> None:
     """Run a command; print its lines, and last of all the warnings."""
-    if not os.environ.get("GSC_OLD"): compute_in_calling_thread()
+    if isinstance(command, SceneOptions | Demo) and not isinstance(command, Scan):
+        compute_in_calling_thread()  # a scan does in its workers
     if not getattr(command, "no_cache", False):
         enable_compilation_cache(cache_folder())
     own: list[str] = []

@@ -24,7 +24,7 @@ from gsc_jax.collection.manifest import PLACES
 from gsc_jax.collection.record import Row, complete, write_row
 from gsc_jax.collection.settings import ScanSettings
 from gsc_jax.io.files import GIB, content_bytes, content_digest
-from gsc_jax.scene.parallel import usable_cores
+from gsc_jax.scene.parallel import compute_in_calling_thread, usable_cores
 
 MAX_SCENES = 50
 """Scenes after which another process takes over, so that what libraries keep does not add up."""
@@ -172,13 +172,14 @@ class SceneWorker:
 class _Judge:
     """Judges scenes on given cores, and stores compiled code in a folder if there is one.
 
-    The pools of XLA and onnxruntime are as large as the set of cores of the process that starts
-    them, and `OMP_NUM_THREADS` of Ray bounds those of NumPy.
+    The pool of onnxruntime is as large as the set of cores of the process that starts it, and
+    `OMP_NUM_THREADS` of Ray bounds those of NumPy.
     """
 
     def __init__(self, cores: Sequence[int], cache: Path | None) -> None:
         if hasattr(os, "sched_setaffinity"):  # Linux
             os.sched_setaffinity(0, cores)
+        compute_in_calling_thread()
         if cache is not None:
             enable_compilation_cache(cache)
 

@@ -28,7 +28,8 @@ def derivatives(
     derivatives by `view.splats`, (N + 1, 6), and by the features, (N, D).
     """
     tiled = [split_tiles(maps, len(view.tiles)) for maps in (image, cotangent)]
-    sums = sum(in_parts(_moments, view.of_any_size, (features, *tiled)))
+    parts = in_parts(_moments, view.of_any_size, (features, *tiled))
+    sums = sum(parts[1:], parts[0])
     return _by_splat(jnp.asarray(view.splats), sums[:, :6]), sums[:-1, 6:]
 
 

@@ -36,8 +36,8 @@ def exp_of_visible(x: jax.Array) -> jax.Array:
 
     The general function of XLA took more than a third of the walk on a CPU.
     """
-    root = functools.reduce(lambda power, coefficient: power * x + coefficient, reversed(EXP))
-    return ((root * root) ** 2) ** 2
+    a, b, c, d, e, f = EXP
+    return (((a + x * (b + x * (c + x * (d + x * (e + x * f))))) ** 2) ** 2) ** 2
 
 
 def alpha_at(splat: jax.Array, pixel: jax.Array) -> jax.Array:
@@ -115,8 +115,8 @@ def groups(view: View) -> tuple[Array, ...]:
 def in_parts(function: Callable[[View, Any], Value], view: View, values: Any) -> list[Value]:
     """Apply a function to parts of the tiles, and to all values, in a thread for each core.
 
-    There is one part under `jax.jit`, on an accelerator, and in a thread, which shares the cores
-    with other views. Their number divides that of the groups, so that they share compiled code.
+    One part under `jax.jit`, on an accelerator, and in a thread, which shares the cores with other
+    views. The number of parts divides that of the groups, so that they share compiled code.
     """
     traced = any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((view, values)))
     alone = threading.current_thread() is threading.main_thread()
@@ -131,6 +131,13 @@ def in_parts(function: Callable[[View, Any], Value], view: View, values: Any) ->
 
     with ThreadPoolExecutor(count) as pool:
         return list(pool.map(part, range(count)))
+
+
+@jax.jit
+def in_row_major_order(parts: list[tuple[jax.Array, jax.Array]]) -> jax.Array:
+    """Pixels (T, D, 64) of tiles (T,), from several parts, in the order of the numbers of tiles."""
+    tiles, pixels = map(jnp.concatenate, zip(*parts, strict=True))
+    return jnp.zeros((len(pixels) + 1, *pixels.shape[1:])).at[tiles].set(pixels)
 
 
 @functools.partial(jax.jit, static_argnums=1)

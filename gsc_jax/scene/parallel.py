@@ -1,10 +1,12 @@
 """Apply a function to views in threads or to rows in blocks, with a bound on memory."""
 
 import os
+import sys
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import cycle
+from pathlib import Path
 from typing import TypeVar
 
 import jax
@@ -15,6 +17,8 @@ Value = TypeVar("Value")
 
 BLOCK = 2**16
 """Rows per block: their intermediate results take a hundred megabytes at most."""
+TASKS = Path("/proc/self/task")
+"""Threads of this process on Linux."""
 LARGE = 2**20
 """Gaussians from which two views at a time use enough memory: up to 180 bytes of each Gaussian."""
 
@@ -31,23 +35,23 @@ def workers() -> int:
 
 
 def compute_in_calling_thread() -> None:
-    """Make XLA compute on the CPU in the thread that calls it, without threads of its own.
+    """Make JAX compute on the CPU in the thread that calls it, and XLA use no other threads.
 
-    XLA divides even the small steps of a walk among all cores and waits for them, which takes
-    longer than it saves where views already have a thread for each core. Changes JAX in this
-    process, before it has computed anything: for programs, not for libraries. Without effect on
-    systems without affinities (macOS, Windows).
+    XLA divides even the small steps of a walk among all cores and waits for them, which costs more
+    than it gains where views have a thread for each core. For programs, not for libraries: call it
+    before JAX computes. It does nothing on systems other than Linux.
     """
-    if not hasattr(os, "sched_setaffinity"):
+    if sys.platform != "linux":
         return
     jax.config.update("jax_cpu_enable_async_dispatch", False)
-    cores = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, {min(cores)})  # the pool of XLA is as large as this set
+    cores, threads = os.sched_getaffinity(0), set(TASKS.iterdir())
+    os.sched_setaffinity(0, {min(cores)})  # XLA starts as many threads
     try:
         jax.devices()
     finally:
-        for thread in os.listdir("/proc/self/task"):
-            os.sched_setaffinity(int(thread), cores)
+        os.sched_setaffinity(0, cores)
+        for started in set(TASKS.iterdir()) - threads:
+            os.sched_setaffinity(int(started.name), cores)
 
 
 class ViewThreads(ThreadPoolExecutor):

@@ -6,7 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from strategies import blobs, camera, cameras_in_a_row, floats, random_scene, with_row
 
 from gsc_jax.evidence.masks import (
@@ -98,6 +99,18 @@ def test_the_share_is_relative_to_alpha_and_0_on_empty_pixels():
     assert share[8, 11] == pytest.approx(1 / (1 + 0.5), rel=0.05)
     assert share[0, 32] == 0
     assert jnp.all(share <= 1 + 1e-6)
+
+
+@given(st.integers(0, 2**16), st.floats(0, 0.9))
+@settings(max_examples=20, deadline=None)
+def test_a_mask_is_where_the_share_exceeds_the_threshold(seed, threshold):
+    scene, scores = random_scene(40), np.random.default_rng(seed).random(40, np.float32) ** 3
+    scored = Labelled(scores, scores > threshold)
+    share = rendered_share(scene, CAMERA, scores)
+    mask = view_mask(scene, CAMERA, scored, threshold=threshold)
+    assert np.array_equal(mask, share > threshold)
+    above = rendered_share(scene, CAMERA, scores, above=threshold)
+    np.testing.assert_array_equal(above[mask], share[mask])
 
 
 def test_a_pixel_exactly_at_the_threshold_is_not_in_the_mask():

@@ -1,5 +1,7 @@
 """Threads for views and for rows."""
 
+import subprocess
+import sys
 import threading
 import time
 
@@ -93,3 +95,26 @@ def test_the_number_of_threads_changes_no_result(monkeypatch):
     np.testing.assert_array_equal(one.prior.probability, many.prior.probability)
     assert one.verdict == many.verdict
     assert all(np.array_equal(one.masks[c.name], many.masks[c.name]) for c in cameras)
+
+
+IN_CALLING_THREAD = """
+import os, threading, time
+import jax, jax.numpy as jnp
+from gsc_jax.scene.parallel import compute_in_calling_thread
+
+cores = os.sched_getaffinity(0)
+compute_in_calling_thread()
+assert all(os.sched_getaffinity(int(t)) == cores for t in os.listdir("/proc/self/task"))
+products = jax.jit(lambda x: jax.lax.fori_loop(0, 200, lambda _, y: jnp.sin(y @ y), x))
+products(jnp.ones((300, 300))).block_until_ready()
+start, own = time.process_time(), time.thread_time()
+products(jnp.ones((300, 300))).block_until_ready()
+print((time.thread_time() - own) / (time.process_time() - start))
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="affinities are those of Linux")
+def test_jax_can_compute_in_the_calling_thread():
+    command = [sys.executable, "-c", IN_CALLING_THREAD]
+    done = subprocess.run(command, check=True, capture_output=True, text=True)
+    assert float(done.stdout) > 0.9

@@ -1,0 +1,73 @@
+"""The walk: its exponential function, and parts of the tiles in threads."""
+
+import math
+from concurrent.futures import ThreadPoolExecutor
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from strategies import camera, random_scene
+
+from gsc_jax.render import walk
+from gsc_jax.render.derivatives import derivatives
+from gsc_jax.render.tiles import View, make_view
+from gsc_jax.render.walk import LOG_MIN_ALPHA, exp_of_visible, in_parts
+from gsc_jax.splat import accumulate, composite
+
+SCENE, CAMERA = random_scene(300), camera(200, 120)
+FEATURES = jnp.asarray(np.random.default_rng(0).random((300, 3)), jnp.float32)
+MAPS = jnp.asarray(np.random.default_rng(1).random((120, 200, 3)), jnp.float32)
+
+
+def test_the_exponential_of_visible_splats():
+    x = np.linspace(LOG_MIN_ALPHA, 0, 100_001, dtype=np.float32)
+    np.testing.assert_allclose(exp_of_visible(jnp.asarray(x)), np.exp(x.astype(float)), rtol=3e-6)
+    assert exp_of_visible(jnp.float32(0)) <= 1
+
+
+@pytest.mark.parametrize("cores", [1, 2, 4, 8, 13])
+def test_parts_cover_each_tile_once(monkeypatch, cores):
+    monkeypatch.setattr(walk, "usable_cores", lambda: list(range(cores)))
+    view = make_view(SCENE, CAMERA)
+    groups = len(view.tiles) // view.lockstep
+    parts = in_parts(lambda part, _: part, view, FEATURES)
+    assert len(parts) == math.gcd(groups, 2 ** int(math.log2(cores)))
+    for name in ("tiles", "starts", "counts"):
+        found = np.concatenate([np.asarray(getattr(part, name)) for part in parts])
+        assert sorted(found) == sorted(np.asarray(getattr(view, name)))
+    assert all(part.counts[0] == np.max(part.counts) for part in parts)
+
+
+def test_parts_give_what_the_whole_gives(monkeypatch):
+    monkeypatch.setattr(walk, "usable_cores", lambda: list(range(4)))
+    view = make_view(SCENE, CAMERA)
+    counts = []
+
+    def computed() -> tuple[jax.Array, ...]:
+        image = composite(view, FEATURES)
+        counts.append(len(in_parts(lambda part, _: part, view, FEATURES)))
+        return image, accumulate(view, MAPS), *derivatives(view, FEATURES, image, MAPS)
+
+    parts = computed()
+    with ThreadPoolExecutor(1) as pool:  # views in threads share the cores already
+        whole = pool.submit(computed).result()
+    assert counts[0] > 1 == counts[1]
+    np.testing.assert_array_equal(parts[0], whole[0])
+    for found, expected in zip(parts[1:], whole[1:], strict=True):
+        scale = float(jnp.max(jnp.abs(expected)))
+        np.testing.assert_allclose(found, expected, atol=1e-5 * scale)
+
+
+def test_under_jit_there_is_one_part(monkeypatch):
+    monkeypatch.setattr(walk, "usable_cores", lambda: list(range(4)))
+    counts = []
+
+    def part_of(part: View, features: jax.Array) -> jax.Array:
+        counts.append(len(part.tiles))
+        return features
+
+    view = make_view(SCENE, CAMERA)
+    jax.jit(lambda features: in_parts(part_of, view, features)[0])(FEATURES)
+    jax.jit(lambda seen: in_parts(part_of, seen, FEATURES)[0])(view)
+    assert counts == [len(view.tiles)] * 2

@@ -9,7 +9,7 @@ the evidence in the attributes. `rendered`: the optimisation by rendering in eve
 in new processes, with and without the compilation cache, and `gsc-jax locate` of a scene of 200,000
 Gaussians without cameras and masks. `sweep`: a hundred configurations on evidence computed once.
 `scaling`: seconds against Gaussians and pixels, with the chart `docs/performance.png`. Each part is
-written to `docs/performance.json`.
+written to `docs/performance.json`. As on the command line, XLA has no threads of its own.
 """
 
 import contextlib
@@ -35,6 +35,7 @@ from gsc_jax.estimators.gschecker import OFFICIAL, PAPER
 from gsc_jax.evidence.monitor import peak_memory_mib
 from gsc_jax.render.tiles import make_view
 from gsc_jax.scene import Camera, Gaussians
+from gsc_jax.scene.parallel import compute_in_calling_thread
 from gsc_jax.splat import accumulate
 
 Part = Literal[
@@ -58,6 +59,7 @@ class Options:
 
 def main(options: Options) -> None:
     """Measure the parts one after the other."""
+    compute_in_calling_thread()
     if options.child:
         with anonymous_memory() as anonymous:
             seconds = locate_seconds(3_000_000, prior=True)["seconds"]

@@ -78,7 +78,7 @@ class Evidence(EvidenceOfViews):
     @property
     def shape(self) -> tuple[int, int]:  # pyright: ignore[reportIncompatibleVariableOverride]
         """V and N; V is 1 for the evidence of one view."""
-        views, count = np.shape(jnp.atleast_2d(self.total))
+        views, count = (1, *np.shape(self.total))[-2:]
         return views, count
 
     def view(self, index: int) -> "Evidence":

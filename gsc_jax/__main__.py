@@ -1,9 +1,8 @@
 """Entry point of `gsc-jax` and of `python -m gsc_jax`.
 
 Ctrl-C (SIGINT) ends the process with exit code 130 and SIGTERM with 143, each with one line on
-stderr. The handlers are installed before the package is imported, because importing JAX takes
-seconds. Cleaning up may take `GRACE_SECONDS`; after that, as in the middle of a long call into a
-native library, the process ends without it and leaves temporary files, which a later run removes.
+stderr, also while JAX is imported, which takes seconds. Cleaning up may take `GRACE_SECONDS`; then
+the process ends without it and leaves temporary files, which a later run removes.
 """
 
 import os

@@ -50,8 +50,7 @@ class Result:
         reliability: Reliability of each mask by camera name; empty if the method infers none.
         masks: Tampered pixels of every view, (H, W) bool, by camera name.
         probabilities: Probability maps of the 2D detector, (H, W) float16, by camera name.
-        seen: Gaussians visible in at least one view, or without a detector those whose attributes
-            could be used, shape (N,) bool.
+        seen: Gaussians visible in a view, or without detector the usable ones, shape (N,) bool.
         group_sizes: Sizes of G_h, G_m and G_l in every iteration, shape (iterations, 3).
         rank: Share of the other parts of the scene that stand out more by the prior than what the
             masks label; None where it was not asked.
@@ -116,8 +115,7 @@ def locate(
         method: `robust` (infers the reliability of every mask), `official` (the released code of
             GS-Checker) or `paper` (its equations); by default that of `config`, or else `robust`.
         config: Replaces the default configuration of the method, e.g. a `RobustEstimator`.
-        prior: True to compute the evidence from the attributes for methods that use a prior, False
-            for none, or a prior.
+        prior: True for the evidence from the attributes if the method uses it, False, or a prior.
         monitor: Records time, memory and progress.
         store: Where the arrays of the views are kept, also their renders in 8 bit; those of an
             interrupted run of the same input are used. By default in memory, beyond a bound in
@@ -128,8 +126,7 @@ def locate(
 
     Raises:
         InputError: if the cameras see nothing of the scene, share a name, or have no mask.
-        ValueError: if the method is unknown, is not that of the configuration, or has neither a
-            detector nor a prior.
+        ValueError: if the method is unknown, not the configured one, or has no evidence.
     """
     estimator, monitor = configured(method, config), monitor or Monitor()
     given, store = store, store or ArrayStore()

@@ -1,8 +1,7 @@
 """The cyclic optimisation: Adam on the attribute, first with the 2D loss, then with both losses.
 
-One `step` serves two paths. `fit_rendered` follows the definition: it renders the attribute and
-differentiates `loss_2d` through `composite`. `fit` is faster: it evaluates the same linear function
-from the evidence of the views. `tests/test_loop.py` asserts that both take the same trajectory.
+One `step` serves two paths. `fit_rendered` renders the attribute and differentiates `loss_2d`
+through `composite`. `fit` evaluates the same linear function from the evidence of the views.
 """
 
 import dataclasses
@@ -163,8 +162,7 @@ def fit_rendered(
 ) -> tuple[jax.Array, StepInfo]:
     """Optimise as `fit` does, by rendering and differentiating the attribute in every iteration.
 
-    `view_of` maps the index of a view to the view and its mask (H, W). It is called in every
-    iteration, so that only one view is in memory.
+    `view_of` gives a view and its mask (H, W) in each iteration, so that one is in memory.
     """
     config, attributes = resolved(config, len(order)), jnp.asarray(attributes)
     return _iterate(

@@ -6,7 +6,6 @@ depends on the scene and the camera only and is never stored: a group of 8 x 8 p
 depth-sorted lists in lockstep, a chunk of splats at a time. The equations are written for one pixel
 and vmapped. JAX cannot reverse the early-ending loop, so `composite` has a custom backward pass:
 `accumulate` where only the features change, and else `derivatives`, which walks the same lists.
-`tests/test_splat.py` and `tests/test_gradients.py` compare them with a float64 reference.
 """
 
 import dataclasses
@@ -174,8 +173,7 @@ def render_features(
 
     Args:
         gaussians: N Gaussians.
-        camera: Pose, intrinsics and image size; or V cameras of one size, which add a first axis V
-            to image and alpha.
+        camera: Pose, intrinsics and image size; or V cameras of one size, which add a first axis V.
         features: One row per Gaussian, shape (N, D).
         near: Near plane in world units.
 

@@ -52,8 +52,7 @@ class Confusion(NamedTuple):
 class Scores:
     """Mean metrics over the tampered views; NaN if no view is tampered.
 
-    `views` are the indices of the tampered views, shape (M,), and `per_view` holds F1, IoU,
-    precision and recall of these, by name, each of shape (M,).
+    `views` (M,) are the tampered views, and `per_view` has their F1, IoU, precision, recall, (M,).
     """
 
     f1: float
@@ -111,8 +110,7 @@ def truth_mask(
 ) -> np.ndarray:
     """True mask (H, W) of a view, from the labels (N,) of the Gaussians.
 
-    A pixel is tampered where tampered Gaussians have more than half of its blending weight and it
-    is covered (alpha > 0.1).
+    A covered pixel (alpha > 0.1) is tampered where tampered Gaussians have most of its weight.
     """
     return rendered_share(gaussians, camera, labels, near=near) > 0.5
 

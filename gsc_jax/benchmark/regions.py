@@ -2,8 +2,7 @@
 
 The share of a view that a Gaussian fills is its total blending weight, as in the evidence. A region
 consists of the Gaussians nearest to a seed along the graph rather than through the air; it grows
-until their blending weights sum to the requested share of the pixels. Views are scaled down, since
-only areas matter.
+until their blending weights sum to the requested share of the pixels. Views are scaled down.
 """
 
 import dataclasses

@@ -3,8 +3,7 @@
 A quadratic surface is fitted through the surroundings and across the hole, and the hole is covered
 at their density. The surroundings are mirrored at the edge of the hole: a point at t times the
 distance of the edge from the centre copies its attributes, and its height over the surface, from
-the Gaussian nearest to 1 + 0.6 (1 - t) times that distance. This continues colours and patterns
-without a seam. The copies are the tampered part.
+the Gaussian nearest to 1 + 0.6 (1 - t) times that distance. The copies are the tampered part.
 """
 
 import dataclasses
@@ -65,8 +64,7 @@ class Hole:
     def cost(self) -> float:
         """Difficulty of filling: low for smooth ground on all sides and a flat region.
 
-        The sum of the mean height around (in units of `MAX_HEIGHT`, at most 1), half of the mean
-        height within, and the share of the sectors without ground.
+        Mean height around (by `MAX_HEIGHT`, at most 1), half of that within, share without ground.
         """
         around, within = (np.minimum(abs(x[:, 2]) / MAX_HEIGHT, 1) for x in (self.ring, self.rows))
         radii, angles = _polar(self.ring)

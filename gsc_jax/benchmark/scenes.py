@@ -2,8 +2,7 @@
 
 The demo and the tests run on it, since no trained scene can be shipped. The object has the
 statistics of another training, like an object cut from another model, and the rows are shuffled, so
-that neither order nor position in the file reveals it. Metres, y down, floor at y = 0. Textures are
-images of scikit-image, so nothing is downloaded; if they are missing, there is an InputError.
+that neither order nor position in the file reveals it. Textures are images of scikit-image.
 """
 
 import dataclasses
@@ -83,8 +82,7 @@ def tampered_room(
 ) -> MadeScene:
     """Make the room with the object, a tenth of all `count` Gaussians, on its table.
 
-    There are `views` cameras for the estimator, with images of width x height pixels, and `heldout`
-    other ones for the metrics.
+    There are `views` cameras for the estimator, and `heldout` other ones for the metrics.
     """
     foreign = count // 10
     room = make_room(seed=seed, count=count - foreign)

@@ -1,8 +1,5 @@
 """Simulated 2D detectors: the truth of each view, with named failures.
 
-`Failures` gives the strength of each failure of real detectors, so that a method can be tested
-against one at a time; `REGIMES` are the reported settings.
-
 A mask is represented by its signed distance in pixels, positive inside: regions unite by the
 maximum, smooth noise makes edges ragged, and a logistic function turns distance into probability.
 Without failures, probability > 0.5 is exactly the truth.
@@ -67,8 +64,7 @@ def simulate(
     """Probability maps (V, H, W) of a detector with these failures, float32.
 
     Shares of views are exact up to rounding; which views fail is random. Truth and decoy, an
-    authentic region that is flagged, are masks of shape (V, H, W); `failures.decoy` without a decoy
-    raises ValueError.
+    authentic region that is flagged, are masks (V, H, W). ValueError if a needed decoy is missing.
     """
     if truth.ndim != 3:
         raise ValueError(f"truth must have shape (V, H, W), got {truth.shape}")

@@ -1,10 +1,9 @@
 """Gaussians on textured surfaces: quads, boxes and solids of revolution.
 
 A `Part` is a surface with a texture; `sample_parts` distributes a number of Gaussians over parts.
-The Gaussians are flat, lie on the surface, have sizes of about the spacing with a log-normal
-spread, are mostly opaque with a tail, and have quaternions of any sign and length and a weak view
-dependence of colour. `TrainingStatistics` holds these distributions, so that two models can differ
-in them. Points form a golden lattice, which stays even for any aspect ratio. Metres, y down.
+They are flat, have sizes of about the spacing with a log-normal spread, are mostly opaque with a
+tail, and have a weak view dependence of colour; `TrainingStatistics` holds these distributions.
+Points form a golden lattice, which stays even for any aspect ratio. Metres, y down.
 """
 
 import dataclasses
@@ -110,8 +109,7 @@ def box(foot: Vector, width: float, height: float, depth: float) -> list[Surface
 def revolve(profile: np.ndarray, foot: Vector, *, axis: int = 1) -> Surface:
     """Surface of revolution about a coordinate axis through `foot`, the point at height 0.
 
-    The profile holds radius and height of the curve, upwards for an outside, shape (P, 2); heights
-    are negative coordinates along the axis.
+    The profile (P, 2) holds radius and height, a negative coordinate; upwards for an outside.
     """
     pieces = np.diff(profile, axis=0)
     middle = (profile[1:, 0] + profile[:-1, 0]) / 2

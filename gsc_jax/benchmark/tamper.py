@@ -1,10 +1,8 @@
 """Edits of a scene at the level of Gaussians, with exact truth.
 
-The three edits of the paper: paste an object (incorporation), change the colour, texture, size or
-shape of a compact region (modification), or remove a region and fill the hole with copies of its
-surroundings, which are the tampered part (removal). Edits lie where the cameras look. An edit is
-accepted if enough views show it at about the requested size and, for a modification or removal, if
-it changes the colour of pixels; otherwise another place is tried.
+The three edits of the paper are incorporation, modification and removal. Edits lie where the
+cameras look. One is accepted if enough views show it at about the requested size and, for a
+modification or removal, if it changes the colour of pixels; otherwise another place is tried.
 """
 
 import dataclasses

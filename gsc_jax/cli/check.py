@@ -41,8 +41,7 @@ class Check:
 
     Attributes:
         scene: A scene of any format that `locate` reads.
-        json: Print JSON, with the keys file, usable, format, rows, gaussians, sh_degree, problems
-            and error.
+        json: Print JSON: file, usable, format, rows, gaussians, sh_degree, problems, error.
         memory: Memory in GiB that may be used; a file that expands to more is refused.
     """
 

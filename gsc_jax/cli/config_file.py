@@ -1,8 +1,8 @@
 """`--config`: options of `locate` and the configuration of its estimator, from a file.
 
 The file has two tables: `command`, the options of `locate` with underscores for dashes, and
-`config`, the fields of the estimator, some of which have no option. The result.json of a run is
-such a file, so that a run can be repeated. The command line overrides the file, the file defaults.
+`config`, the fields of the estimator. The result.json of a run is such a file. The command line
+overrides the file, the file defaults.
 """
 
 import dataclasses

@@ -66,8 +66,7 @@ def uses_attributes(options: Locate, estimator: Estimator) -> bool:
 def open_detector(options: Locate, *, attributes: bool) -> Detector | None:
     """Open the folder of masks or the 2D network; None if the options name neither.
 
-    InputError if options contradict each other, a file is invalid, or there is no evidence, also
-    not from the `attributes` of the Gaussians.
+    InputError if options contradict each other, a file is invalid, or there is no evidence.
     """
     network = network_path(options)
     if options.masks is not None and network is not None:

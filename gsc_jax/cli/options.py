@@ -111,10 +111,8 @@ class Tamper(SceneOptions):
 
     Attributes:
         edit: Kind of edit.
-        object: Object to paste: a .ply that holds nothing else, upright with -y up, of any position
-            and size.
-        size: Share of the pixels that the edit should cover, as the median over the views that show
-            it.
+        object: Object to paste: a .ply with nothing else, upright with -y up, of any size.
+        size: Share of the pixels that the edit should cover, the median over views that show it.
         masks: Failures of the simulated detector: none at all (clean), a single kind (boundary,
             misses, blobs, consistent, inverted) or all of them (mixture), with the strengths of
             docs/results.md. `none` writes no masks.

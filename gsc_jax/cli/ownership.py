@@ -1,9 +1,8 @@
 """Which files in a folder of results are from an earlier run; all others are refused.
 
 A report (result.json, render.json, edit.json) lists the files of its run with their digests. A file
-is an output of that run as long as it is a regular file with this digest, behind no link. A list of
-anybody else therefore lets nothing be replaced or removed but what came with it. The journal of a
-run that was killed names files before they have been moved; it counts only with a seal.
+is an output of that run as long as it is a regular file with this digest, behind no link. The
+journal of a run that was killed names files before they are moved; it counts only with a seal.
 """
 
 import contextlib
@@ -28,8 +27,7 @@ REPORTS = ("result.json", "render.json", "edit.json")
 def refuse_overlap(out: Path, inputs: Sequence[Path], *, written: Sequence[str]) -> None:
     """Raise InputError if writing the names `written` in the folder `out` changes an input.
 
-    This is so for an input that would be overwritten, and for a folder of inputs with `out` inside:
-    the next run would read the results as inputs.
+    Also for a folder of inputs with `out` inside: the next run would read the results as inputs.
     """
     folder = Path(os.path.realpath(out))
     results = [os.path.realpath(out / name) for name in written]

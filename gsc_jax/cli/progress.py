@@ -18,8 +18,7 @@ class Bars:
         """Show that `done` of `total` items of a stage are finished."""
         if self._bar is None or stage != self._stage:
             self.close()
-            # `disable=None` disables the bar unless the stream is a terminal. `initial` excludes
-            # what was done before the bar began from the rate.
+            # `disable=None`: only on a terminal. `initial` is left out of the rate.
             self._bar = tqdm(
                 desc=f"{stage:8}",
                 total=total,

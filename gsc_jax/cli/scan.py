@@ -58,8 +58,7 @@ class Scan(Locate):
         timeout: Seconds that a scene may take.
         retries: How often a scene is tried again after a timeout or the loss of its process,
             before it is a row with an error. The exit code is 0 also with such rows.
-        report_above: Scene probability from which the folder of `locate` is written, too: 0 for
-            all scenes.
+        report_above: Scene probability from which the folder of `locate` is written; 0 for all.
         memory: Memory in GiB of a worker; a file that expands to more is refused.
     """
 

@@ -1,13 +1,11 @@
 """A folder of results that is written aside and moved into place when it is complete.
 
-A run that fails or is interrupted leaves the results in the folder as they were. A run that
-succeeds replaces the files of the run before, including masks of cameras that it does not use, so
-that the files in the folder belong together. No other file is touched, and no input of the run.
+A run that fails leaves the results in the folder as they were. One that succeeds replaces the
+files of the run before, including masks of cameras that it does not use, and touches no others.
 
 Everything unfinished lies in `OUT/.unfinished`: a lock, so that one run at a time writes; the new
-results; arrays of views, with which a run of the same input continues; and from the moment at which
-all results are written, a journal of the files to move. A process that is killed while it moves
-them leaves the journal, and the next run begins by moving the rest.
+results; arrays of views, with which a run of the same input continues; and, when all results are
+written, a journal of the files to move, with which the next run continues after a kill.
 """
 
 import contextlib

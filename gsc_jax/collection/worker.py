@@ -172,8 +172,7 @@ class SceneWorker:
 class _Judge:
     """Judges scenes on given cores, and stores compiled code in a folder if there is one.
 
-    The pool of onnxruntime is as large as the set of cores of the process that starts it, and
-    `OMP_NUM_THREADS` of Ray bounds those of NumPy.
+    The set of cores bounds the pool of onnxruntime, and `OMP_NUM_THREADS` of Ray those of NumPy.
     """
 
     def __init__(self, cores: Sequence[int], cache: Path | None) -> None:

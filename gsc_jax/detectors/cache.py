@@ -1,9 +1,8 @@
 """Cache of the probability maps of a detector, on disk, by the rendered image.
 
 The key is a digest of the detector's options and of all bits of the image: rendering is
-reproducible to the bit on one machine. Maps are stored as float32, so a cached run has the same
-results. Every file ends with a digest of its content; a damaged one is computed again. If the cache
-fails, there is a warning and the detector runs.
+reproducible to the bit on one machine. Every file ends with a digest of its content; a damaged one
+is computed again. If the cache fails, there is a warning and the detector runs.
 """
 
 import contextlib
@@ -35,8 +34,7 @@ class CachedDetector:
     ):
         """Configure a cache in a folder of its own, which is created when it is first used.
 
-        The key identifies the detector with all its options, such as `OnnxDetector.fingerprint`.
-        Above `max_bytes`, the oldest outputs are removed.
+        The key identifies the detector and its options; above `max_bytes`, the oldest are removed.
         """
         self.detector = detector
         self.folder = Path(folder)

@@ -1,7 +1,6 @@
 """A folder of masks as a 2D detector; the name of a camera determines the file of its mask.
 
-Camera names can contain dots and folders ("left/img.0001.JPG"). A file matches a camera by one of
-these rules, from exact to loose:
+Names can contain dots and folders ("left/img.0001.JPG"). A file matches by one of these rules:
 
 1. The file is the camera name plus a suffix (left/img.0001.JPG.png).
 2. The file is the camera name with another image suffix (left/img.0001.png).
@@ -40,8 +39,7 @@ class FolderDetector:
     def __init__(self, path: str | Path, *, max_bytes: int | None = None):
         """List the images of a folder and its subfolders; InputError if there are none.
 
-        They are read later. One that then takes more than `max_bytes` of memory is refused; see
-        `memory_limit` for the default.
+        They are read later; one that takes more memory than `max_bytes` is then refused.
         """
         self.path = Path(path)
         self._limit = max_bytes

@@ -53,8 +53,7 @@ class Network:
     ):
         """Load a model with `open_session`; raise InputError if its tensors differ from the specs.
 
-        `inputs` are all inputs in the order of the model. `outputs` are those to compute, by
-        position or name; the model may have others.
+        `inputs` are all inputs in order, `outputs` those to compute, by position or name.
         """
         self.path = path
         self._session = open_session(path, providers=providers, threads=threads)
@@ -78,8 +77,7 @@ class Network:
     def run(self, *arrays: np.ndarray, view: str) -> list[np.ndarray]:
         """Compute the outputs, float32; arrays are converted to the types of the inputs.
 
-        Raises InputError, with the name of the view, if the inference fails or an output has an
-        unexpected shape.
+        Raises InputError, with the name of the view, if it fails or an output has another shape.
         """
         pairs = list(zip(self.inputs, arrays, strict=True))
         feed = {tensor.name: array.astype(NUMBERS[tensor.type]) for tensor, array in pairs}

@@ -36,8 +36,7 @@ def to_tensor(image: np.ndarray, spec: OnnxSpec) -> np.ndarray:
 def crop_map(probability: np.ndarray, target: Size, content: Size) -> np.ndarray:
     """Remove the padding from a map of the whole input, which can have any resolution.
 
-    Target and content are the sizes of the input and of its part without padding. If the crop would
-    cut through a cell of the map, it is upsampled first.
+    Target and content are the sizes with and without padding. A map with cut cells is upsampled.
     """
     if content == target:
         return probability

@@ -41,8 +41,7 @@ def forged_region(
     The masks are logits, positive inside, shape (P, h, w), with predicted qualities (P,), and the
     embeddings of the image have shape (C, H, W). The seed is that of the starts of k-means.
 
-    The probability is 0 if no mask is usable. The counts are of "unusable" predictions, and 1 or 0
-    for "one_source", an image of one source.
+    The probability is 0 if no mask is usable. Counts: "unusable" predictions, "one_source" images.
     """
     directions = mask_directions(logits, embeddings, side=side)
     usable = np.flatnonzero(np.isfinite(confidences) & np.isfinite(directions).all(axis=1))
@@ -90,8 +89,7 @@ def two_groups(directions: np.ndarray, *, seed: int = 0) -> np.ndarray | None:
     """Partition unit vectors (P, C) by spherical k-means, k = 2, with starts as in k-means++.
 
     The groups, 0 or 1, (P,), have the largest summed lengths of the sums of both groups; None if
-    two groups explain no more than one. The k-means of SciPy is Euclidean, so its border is closer
-    to the narrower group.
+    two groups explain no more than one. SciPy's k-means is Euclidean: its border is another.
     """
     rng = np.random.default_rng(seed)
     longest = np.linalg.norm(directions.sum(axis=0)) + MIN_GAIN * len(directions)

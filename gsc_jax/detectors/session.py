@@ -96,8 +96,7 @@ def fingerprint(path: Path, *facts: object) -> str:
 def external_files(path: Path) -> list[Path]:
     """Existing files in which a model stores external tensors, sorted.
 
-    The entries that name these files are found by their byte pattern, without parsing the model.
-    onnxruntime has validated them when it loaded the model.
+    Their names are found by a byte pattern; onnxruntime validated them when it loaded the model.
     """
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as model:
         names = set()

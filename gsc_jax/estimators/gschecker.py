@@ -71,8 +71,7 @@ class GSChecker(Estimator):
     def estimate(self, observation: Observation, prior: Prior | None = None) -> Finding:
         """Vote, optimise the attribute, normalise and threshold it.
 
-        The prior is ignored, with a warning. The finding is defined also if all masks are empty or
-        full, where the attribute means nothing.
+        The prior is ignored, with a warning. Masks may be empty or full.
         """
         r = self.initial_attribute(observation)  # eq. 6, from the votes of eq. 5
         F = ATTRIBUTES[self.attributes](observation.gaussians)  # what eq. 7 compares

@@ -22,9 +22,8 @@ It leaves room for images that were padded to a multiple of 32 pixels."""
 class Detector(Protocol):
     """A 2D tampering detector.
 
-    It may have an attribute `warnings`, a sequence of sentences for the user that `locate` passes
-    on, and `diagnostics`, a dictionary by camera name that they are made from: `observe` puts the
-    entries of views back that an interrupted run has judged.
+    It may have `warnings`, sentences that `locate` passes on, and `diagnostics`, a dictionary by
+    camera name: `observe` puts back the entries of views that an interrupted run has judged.
     """
 
     @property
@@ -44,8 +43,7 @@ class Detector(Protocol):
 def fit_to_view(probability: Any, camera: Camera) -> np.ndarray:
     """Resize a probability map to the size of a view, (H, W) float32, without a threshold.
 
-    The map has shape (h, w), possibly with further axes of length 1, and is boolean or in [0, 1];
-    an output that is no map of probabilities raises InputError.
+    The map (h, w), or with axes of length 1, is boolean or in [0, 1]; others raise InputError.
     """
     output = _as_map(probability, camera)
     if not (output.min() >= 0 and output.max() <= 1):
@@ -99,8 +97,7 @@ def _as_map(probability: Any, camera: Camera) -> np.ndarray:
 def same_view(probability: Any, camera: Camera) -> np.ndarray:
     """The map, if it can show the whole view: it has its aspect, or is square.
 
-    Networks that do not keep the aspect mostly have square maps. Maps of other aspects are those of
-    another view or of a crop, and raise InputError.
+    Square maps are of networks that do not keep the aspect; others raise InputError.
     """
     output, aspect = _as_map(probability, camera), camera.width / camera.height
     height, width = output.shape

@@ -147,8 +147,7 @@ def view_evidence(view: View, mask: Array) -> Evidence:
 def sparse(evidence: Evidence) -> np.ndarray:
     """The Gaussians with any weight in a view, of evidence (N,), shape (3, M) int32.
 
-    Their rows, ascending, and the bits of total and of tampered: 12 bytes for a visible Gaussian
-    instead of 8 for each.
+    Their rows, ascending, and the bits of total and of tampered: 12 bytes per visible Gaussian.
     """
     total, tampered = np.asarray(evidence.total), np.asarray(evidence.tampered)
     rows = np.flatnonzero(total).astype(np.int32)

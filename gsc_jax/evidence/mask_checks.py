@@ -2,9 +2,6 @@
 
 Masks are none if all are the same, if they follow a simple property of the images such as the
 brightness, or if no region of the scene explains them.
-
-A detector that thresholds the brightness is consistent over the views like a good one, since what
-it flags is a region of the scene. False blobs at random places are not.
 """
 
 import numpy as np
@@ -75,8 +72,7 @@ def same_pixels(observation: Observation) -> bool:
 def followed_property(observation: Observation, near: float) -> str | None:
     """Name of a property of the image, a threshold on which separates what the masks flag.
 
-    One threshold has to serve all of up to `CHECKED` views that are partly flagged, with a balanced
-    accuracy of `MIN_ACCURACY`.
+    One threshold has to serve up to `CHECKED` partly flagged views with `MIN_ACCURACY`.
     """
     gaussians = filled_up(observation.gaussians)
 

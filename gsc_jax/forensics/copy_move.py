@@ -2,8 +2,7 @@
 
 A single Gaussian with the attributes of another is a coincidence, frequent in quantised files.
 The duplicates of a copied region keep their arrangement: neighbours have their duplicates close
-together, although the compared attributes do not hold the position. Training clones Gaussians, too,
-and an export may make them identical, but such clones stay where they were made.
+together. Training clones Gaussians, too, and exports may make them identical, in place.
 """
 
 import functools
@@ -41,9 +40,8 @@ def copy_move(
 ) -> Trace:
     """Detect regions whose Gaussians occur again elsewhere, moved in the same way.
 
-    Nearly all Gaussians of a filled hole have duplicates, but only a part of the region they were
-    copied from; of an object that was copied as a whole, both copies are marked. `duplicates` are
-    those of `nearest_duplicates`, (N,), where they are known.
+    Nearly all Gaussians of a filled hole have duplicates, but only a part of their source; of an
+    object that was copied as a whole, both copies are marked. `duplicates` are as above, (N,).
     """
     moves = np.zeros(len(gaussians))
     if neighbours.size:
@@ -62,8 +60,7 @@ def copy_move(
 def moved_together(means: np.ndarray, neighbours: np.ndarray, duplicates: np.ndarray) -> np.ndarray:
     """Distances to duplicates that lie where those of the neighbours lie, else 0, shape (N,).
 
-    They are in units of the distance to the last of the neighbours (N, K). `duplicates` are rows,
-    or -1, shape (N,).
+    They are in units of the distance to the last of K neighbours. `duplicates` are rows, or -1.
     """
     reach = np.linalg.norm(means - means[neighbours[:, -1]], axis=1)
     moves = np.linalg.norm(means[duplicates] - means, axis=1) / np.maximum(reach, 1e-12)

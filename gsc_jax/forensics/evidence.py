@@ -1,7 +1,6 @@
 """Forensic evidence: how likely each Gaussian is tampered, from the attributes of the scene alone.
 
-Combines the classifier with the traces. The result is a prior of the robust estimator, or the only
-evidence where no masks exist.
+Combines classifier and traces to a prior of `robust`, or the only evidence where no masks exist.
 """
 
 import dataclasses

@@ -1,9 +1,8 @@
 """Features of Gaussians: attributes relative to the surroundings and to the scene.
 
 Tampered Gaussians come from another training run, or were bent, recoloured or copied, so their
-attributes differ from those around them (the 3D loss of GS-Checker builds on that). Each feature is
-a number of a Gaussian or a statistic of it over the neighbours; numbers are standardised by median
-and MAD of the scene, so that the classifier generalises to other scenes.
+attributes differ from those around them. Each feature is a number of a Gaussian or a statistic of
+it over the neighbours, standardised by median and MAD of the scene.
 """
 
 import dataclasses
@@ -40,8 +39,7 @@ MAX_BYTES_IN_MEMORY = 2**28
 class Features:
     """Features of N Gaussians.
 
-    The values are finite and within +-`MAX_DEVIATION`. They take three times the memory of the
-    scene, so those of a large one lie in a file.
+    Finite values within +-`MAX_DEVIATION`, three times as large as the scene: perhaps in a file.
 
     Attributes:
         names: Names of the F columns, `group.number.surroundings`.

@@ -2,8 +2,7 @@
 
 Each trace marks Gaussians that differ from the convention of the file. Files hold single
 coincidences by the thousand, so a mark counts only inside a compact region of marks. The score is a
-posterior, with the rates of marks inside and outside of regions measured in the scene itself. This
-module holds that rule and the two traces of the file format.
+posterior, with the rates of marks inside and outside of regions measured in the scene itself.
 """
 
 import dataclasses

@@ -38,8 +38,7 @@ def is_colmap(folder: Path) -> bool:
 def read_colmap(folder: Path, *, max_bytes: int | None = None) -> list[Camera]:
     """Read the registered images of a COLMAP model with their full intrinsics, sorted by name.
 
-    Binary files are preferred. A file that is missing, damaged or takes more than `max_bytes` of
-    memory, or a distorted camera, raises InputError.
+    Binary files are preferred. A bad or too large file, or a distorted camera, raises InputError.
     """
     binary = all((folder / f"{kind}.bin").exists() for kind in ("cameras", "images"))
     readers = (_binary_cameras, _binary_images) if binary else (_text_cameras, _text_images)

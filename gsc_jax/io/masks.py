@@ -2,8 +2,7 @@
 
 A mask is grey: black is authentic, white is tampered, levels between them are probabilities.
 One file does not show whether levels 0 and 1 of 8 bits are a 0/1 mask or the two darkest
-probabilities; `gsc_jax.detectors.folder` decides once for a whole folder. Files written here
-preserve `p > 0.5` exactly.
+probabilities; `gsc_jax.detectors.folder` decides once for a whole folder.
 """
 
 import contextlib
@@ -36,8 +35,7 @@ _OPENING = threading.Lock()
 BYTES_PER_PIXEL = 32
 """Memory of a coloured mask while it is reduced to one channel and resized, with 8 bytes each."""
 MAX_PART_BYTES, MAX_NAME_BYTES = 240, 1000
-"""Lengths of the names of cameras. Most file systems allow 255 bytes for a part and 4096 for a
-path, to which the folder and a suffix are added."""
+"""Lengths of the names of cameras: file systems allow 255 bytes for a part, 4096 for a path."""
 
 GREY_TOLERANCE_LEVELS = 8
 """Largest difference between the channels of a grey pixel. Lossy formats do not keep them equal:
@@ -92,8 +90,7 @@ def read_grey(path: str | Path, *, max_bytes: int | None = None) -> np.ndarray:
 def write_probability(path: str | Path, probability: np.ndarray) -> None:
     """Write a probability map as 16-bit grey PNG.
 
-    Halves are rounded down, because 32768 / 65535 would be above 0.5. Values outside [0, 1] or of
-    another shape than (h, w) raise InputError.
+    Halves are rounded down: 32768 / 65535 is above 0.5. Values outside [0, 1] raise InputError.
     """
     probability = np.asarray(probability, np.float64)
     if probability.ndim != 2 or not ((probability >= 0) & (probability <= 1)).all():

@@ -1,9 +1,8 @@
 """Scenes as .ply files, read by property name, so that the layout of any exporter is accepted.
 
 plyfile does the parsing: any order of properties, ascii or binary of either byte order, values and
-extra properties of any type. Properties that describe no Gaussian are kept, so that a result is the
-input scene plus one property. Rows that cannot be rendered are excluded from the Gaussians, counted
-by reason, and stay in the file. `gsc_jax.io.layout` lists the meaning of each property.
+extra properties of any type. A result is the input scene plus one property. Rows that cannot be
+rendered are excluded from the Gaussians, counted by reason, and stay in the file.
 """
 
 import copy
@@ -132,8 +131,7 @@ def save_ply(path: str | Path, gaussians: Gaussians, *, tamper: Array | None = N
 
     Raises:
         InputError: If the file cannot be written, or could not be read again: there is no Gaussian
-            that can be rendered, the degree of the spherical harmonics is not 0 to 3, or there are
-            not N finite scores.
+            that can be rendered, the degree is not 0 to 3, or there are not N finite scores.
     """
     host = jax.tree.map(np.asarray, gaussians)
     scores = None if tamper is None else checked_scores(path, tamper, len(host))

@@ -22,8 +22,7 @@ PARSERS = {".json": json.loads, ".toml": tomllib.loads}
 def read_table(path: Path, *, remedy: str, max_bytes: int | None = None) -> Any:
     """Parse a file in UTF-8 as TOML if its suffix is .toml, else as JSON.
 
-    A file that cannot be read, is not valid or takes more than `max_bytes` of memory raises
-    InputError, whose message ends with the `remedy`.
+    One that is bad or takes more than `max_bytes` raises InputError, which ends with the `remedy`.
     """
     suffix = ".toml" if path.suffix.lower() == ".toml" else ".json"
     kind = suffix[1:].upper()

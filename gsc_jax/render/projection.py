@@ -5,7 +5,6 @@ covariance is T T^T + 0.3 I (Zwicker et al. 2001; Kerbl et al. 2023, eq. 5). Its
 computed as |t_0 x t_1|^2 + 0.3 tr + 0.09 (Cauchy-Binet), which stays positive in float32 for the
 thinnest needle, and divided by c before it can overflow. The exponent sigma = d^T Sigma^-1 d / 2
 is a sum of two squares of a whitened offset, hence never negative.
-`tests/render/test_projection.py` compares the projection with a float64 reference.
 """
 
 import functools

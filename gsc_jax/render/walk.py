@@ -24,8 +24,7 @@ MAX_ALPHA = 0.99
 MIN_TRANSMITTANCE = 1e-4
 """A pixel stops before its transmittance would fall below this, as in the INRIA rasteriser."""
 CHUNK = 8
-"""Splats per iteration of the loop: longer chunks stop later, shorter ones spend more on launching
-operations."""
+"""Splats per iteration: longer chunks stop later, shorter ones launch more operations."""
 LOG_MIN_ALPHA = math.log(MIN_ALPHA)
 EXP = (0.9999999, 0.1249991, 0.007810728, 0.0003242016, 9.717536e-06, 1.790013e-07)
 """Coefficients of the polynomial that is closest to exp(x / 8) on [log 1/255, 0], relatively."""
@@ -73,8 +72,7 @@ _blend = jax.vmap(jax.vmap(blend_pixel, (0, 1), (1, 0)))
 def walk(view: View, group: tuple[Array, ...], visit: Callable, carry: Any) -> Any:
     """Walk the lists of a group of tiles until all of them end or every pixel has stopped.
 
-    Each chunk updates the carry by `visit(carry, ids, weights, alphas)` with ids (tiles, C), and
-    weights and alphas (tiles, C, pixels).
+    `visit(carry, ids, weights, alphas)` updates the carry: (tiles, C), others (tiles, C, pixels).
     """
     tiles, starts, counts = group
     pixels = pixel_centers(tiles, view.columns)

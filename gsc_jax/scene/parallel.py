@@ -17,8 +17,6 @@ Value = TypeVar("Value")
 
 BLOCK = 2**16
 """Rows per block: their intermediate results take a hundred megabytes at most."""
-TASKS = Path("/proc/self/task")
-"""Threads of this process on Linux."""
 LARGE = 2**20
 """Gaussians from which two views at a time use enough memory: up to 180 bytes of each Gaussian."""
 
@@ -44,21 +42,19 @@ def compute_in_calling_thread() -> None:
     if sys.platform != "linux":
         return
     jax.config.update("jax_cpu_enable_async_dispatch", False)
-    cores, threads = os.sched_getaffinity(0), set(TASKS.iterdir())
+    cores = os.sched_getaffinity(0)
     os.sched_setaffinity(0, {min(cores)})  # XLA starts as many threads
     try:
         jax.devices()
     finally:
-        os.sched_setaffinity(0, cores)
-        for started in set(TASKS.iterdir()) - threads:
-            os.sched_setaffinity(int(started.name), cores)
+        for thread in Path("/proc/self/task").iterdir():
+            os.sched_setaffinity(int(thread.name), cores)
 
 
 class ViewThreads(ThreadPoolExecutor):
     """Threads for views of N Gaussians, each of which computes on the next device of JAX.
 
-    There is one for each core, since NumPy and XLA use few at once, but at most eight for each
-    device, and two in scenes that are `LARGE`.
+    There is one for each core, at most eight for each device, and two in scenes that are `LARGE`.
     """
 
     def __init__(self, gaussians: int = 0) -> None:

@@ -2,8 +2,7 @@
 
 The page is complete in one file: thumbnails are embedded, full images are loaded from the folder
 beside it if present, and a content security policy forbids the network and foreign scripts. The
-HTML is complete without JavaScript; the script adds a large image, sorting and keys. Names of
-cameras and files are foreign text: the template escapes them, and none is in script or style sheet.
+HTML is complete without JavaScript. The template escapes names of cameras and files.
 """
 
 import base64

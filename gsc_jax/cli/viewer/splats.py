@@ -47,8 +47,7 @@ def splats(gaussians: Gaussians) -> Splats:
 def by_importance(splats: Gaussians, *, labelled: np.ndarray) -> np.ndarray:
     """All rows in an order of which the first ones already show the edit and what surrounds it.
 
-    Each in turn is one of largest opacity times area among the visible that are `labelled`, (N,)
-    bool, and among the others, as long as there are both.
+    The largest in opacity times area, by turns from the `labelled` visible ones and the others.
     """
     axes = np.sort(np.asarray(splats.scales, np.float64), axis=1)
     sizes = np.ravel(splats.opacities) * axes[:, 1] * axes[:, 2]

@@ -50,8 +50,7 @@ def observe_until_stable(
     """Observe growing batches of views until labels change by less than the estimator's tolerance.
 
     `observe` must keep the views that it has observed, as with a store; the detector has an output
-    for all cameras. `prior` is a probability per Gaussian. The monitor records the time of the
-    estimates and the progress over views.
+    for all cameras. `prior` is a probability per Gaussian. The monitor records time and progress.
     """
     order = [cameras[k] for k in spread(len(cameras))]
     changes, before = [], None

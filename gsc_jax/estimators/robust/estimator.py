@@ -49,8 +49,7 @@ MAX_CLASSES = 100
 class RobustEstimator(Estimator):
     """Latent classes of Gaussians, with the reliability of every mask inferred.
 
-    The defaults were chosen on seeds 10 and 11 of the development scenes; the tables in
-    docs/results.md use seeds 0 to 2.
+    The defaults were chosen on seeds 10 and 11; the tables in docs/results.md use 0 to 2.
 
     Attributes:
         name: Name of the method in results.
@@ -66,8 +65,7 @@ class RobustEstimator(Estimator):
         neighbours: Number of neighbours for smoothing.
         prior_weight: Weight of the prior, in [0, 1]; 0 ignores it, and below 0.5 it does not
             decide between regions that masks label.
-        min_verdict: Nothing is labelled if the scene probability by the masks and that with the
-            prior are lower.
+        min_verdict: Nothing is labelled if both scene probabilities are lower.
         tolerance: With a network as detector, views are added until they change less than this
             share of the labelled weight; 0 uses all views.
         threshold: Probability above which a Gaussian is labelled.

@@ -2,10 +2,9 @@
 
 Two classes, tampered and authentic, cannot explain an authentic region that a detector flags in
 many views; several classes can. Class k is flagged in view j with probability q_kj, whatever the
-mask of that view did: find the edit, miss it, be inverted, or flag something else. EM fits the
-rates (Dempster, Laird and Rubin 1977; latent classes: Goodman 1974; unreliable raters: Dawid and
-Skene 1979) from several starts at once, and the Bayesian information criterion (Schwarz 1978)
-chooses the number of classes.
+mask of that view did. EM fits the rates (Dempster, Laird and Rubin 1977; latent classes: Goodman
+1974; unreliable raters: Dawid and Skene 1979) from several starts at once, and the Bayesian
+information criterion (Schwarz 1978) chooses the number of classes.
 """
 
 import dataclasses
@@ -31,8 +30,7 @@ MIN_PADDED_VIEWS = 16
 class Classes:
     """A mixture of K latent classes.
 
-    `rates` (K, V) are the probabilities that a class is flagged in a view, and `shares` (K,) those
-    of the fitted Gaussians in each class, 0 for an unused one.
+    `rates` (K, V): how likely a view flags a class; `shares` (K,) of the Gaussians, 0 if unused.
     """
 
     rates: Array
@@ -43,8 +41,7 @@ class Classes:
 class Fit:
     """Latent classes of the best start, and how probable each is for a Gaussian, (K, S).
 
-    The Bayesian information criterion (higher is better) and the number of EM iterations are those
-    of every start, shapes (R,).
+    The Bayesian information criterion (higher is better) and the EM iterations of R starts, (R,).
     """
 
     classes: Classes

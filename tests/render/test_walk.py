@@ -71,3 +71,17 @@ def test_under_jit_there_is_one_part(monkeypatch):
     jax.jit(lambda features: in_parts(part_of, view, features)[0])(FEATURES)
     jax.jit(lambda seen: in_parts(part_of, seen, FEATURES)[0])(view)
     assert counts == [len(view.tiles)] * 2
+
+
+def test_settings_that_hold_for_one_thread_hold_for_a_view(monkeypatch):
+    monkeypatch.setattr(walk, "usable_cores", lambda: list(range(4)))
+    view = make_view(SCENE, CAMERA)
+
+    def parts() -> int:
+        return len(in_parts(lambda part, _: part, view, FEATURES))
+
+    assert parts() > 1
+    with jax.default_device(jax.devices()[0]):
+        assert parts() == 1
+    with jax.disable_jit():
+        assert parts() == 1

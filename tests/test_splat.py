@@ -1,6 +1,7 @@
 """Compositing and its adjoint: the float64 reference, laws, and edge cases."""
 
 import dataclasses
+import threading
 
 import jax
 import jax.numpy as jnp
@@ -238,7 +239,9 @@ def test_the_second_view_of_a_size_compiles_nothing(count_compilations):
     assert not jnp.allclose(before, after), "the camera has not moved"
 
 
-def test_images_of_similar_sizes_share_the_compiled_walk(caplog):
+def test_images_of_similar_sizes_share_the_compiled_walk(caplog, monkeypatch):
+    # `jax.log_compiles` holds for this thread only.
+    monkeypatch.setattr(threading, "main_thread", lambda: None)
     gaussians, features = random_scene(90), np.ones((90, 3), np.float32)
 
     def render_all(width: int, height: int) -> None:

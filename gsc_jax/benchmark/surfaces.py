@@ -109,7 +109,7 @@ def box(foot: Vector, width: float, height: float, depth: float) -> list[Surface
 def revolve(profile: np.ndarray, foot: Vector, *, axis: int = 1) -> Surface:
     """Surface of revolution about a coordinate axis through `foot`, the point at height 0.
 
-    The profile (P, 2) holds radius and height, a negative coordinate; upwards for an outside.
+    The profile (P, 2) holds radius and height, minus the coordinate; upwards for an outside.
     """
     pieces = np.diff(profile, axis=0)
     middle = (profile[1:, 0] + profile[:-1, 0]) / 2

@@ -61,7 +61,7 @@ def estimate(
         Scores and labels.
 
     Raises:
-        ValueError: if the method is unknown or not the configured one, or another observation.
+        ValueError: if the method is unknown or not the configured one, or another scene observed.
     """
     estimator = configured(method, config)
     names = [camera.name for camera in observation.cameras]

@@ -166,7 +166,7 @@ def rendered_share(
         camera: The view.
         feature: A number per Gaussian, shape (N,).
         near: Near plane in world units.
-        above: Render only the tiles whose mean may exceed this.
+        above: Leave tiles at 0 where no Gaussian exceeds this; traced features ignore it.
 
     Returns:
         Mean of the feature by blending weight, shape (H, W); 0 where alpha is 0.1 or less.
@@ -181,7 +181,7 @@ def rendered_share(
     if not isinstance(feature, Tracer):
         values = np.asarray(feature)
         # A mean exceeds the largest value by a rounding error only.
-        view = restricted(view, values != 0 if above is None else values > 0.99 * above)
+        view = restricted(view, values != 0 if above is None else values > above - abs(above) / 100)
     image, alpha = composite_with_alpha(view, feature[:, None])
     if not isinstance(image, Tracer):
         image, alpha = np.asarray(image), np.asarray(alpha)

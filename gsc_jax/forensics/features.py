@@ -39,7 +39,7 @@ MAX_BYTES_IN_MEMORY = 2**28
 class Features:
     """Features of N Gaussians.
 
-    Finite values within +-`MAX_DEVIATION`, three times as large as the scene: perhaps in a file.
+    Finite, within +-`MAX_DEVIATION`; they take three times the memory of the scene, or a file.
 
     Attributes:
         names: Names of the F columns, `group.number.surroundings`.

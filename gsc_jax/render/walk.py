@@ -16,7 +16,7 @@ from jax.core import Tracer
 from gsc_jax.render.projection import MIN_ALPHA
 from gsc_jax.render.tiles import TILE, View
 from gsc_jax.scene import Array
-from gsc_jax.scene.parallel import usable_cores
+from gsc_jax.scene.parallel import LARGE, usable_cores
 
 Value = TypeVar("Value")
 MAX_ALPHA = 0.99
@@ -27,11 +27,10 @@ CHUNK = 8
 """Splats per iteration: longer chunks stop later, shorter ones launch more operations."""
 LOG_MIN_ALPHA = math.log(MIN_ALPHA)
 EXP = (0.9999999, 0.1249991, 0.007810728, 0.0003242016, 9.717536e-06, 1.790013e-07)
-"""Coefficients of the polynomial that is closest to exp(x / 8) on [log 1/255, 0], relatively."""
 
 
 def exp_of_visible(x: jax.Array) -> jax.Array:
-    """Compute exp(x) for log(1/255) <= x <= 0 to 3e-6 of it; XLA's took a third of the walk."""
+    """Compute exp(x) = EXP(x)^8, log(1/255) <= x <= 0, to 3e-6; XLA's took a third of the walk."""
     a, b, c, d, e, f = EXP
     return (((a + x * (b + x * (c + x * (d + x * (e + x * f))))) ** 2) ** 2) ** 2
 
@@ -69,7 +68,7 @@ _blend = jax.vmap(jax.vmap(blend_pixel, (0, 1), (1, 0)))
 def walk(view: View, group: tuple[Array, ...], visit: Callable, carry: Any) -> Any:
     """Walk the lists of a group of tiles until all of them end or every pixel has stopped.
 
-    `visit(carry, ids, weights, alphas)` updates the carry: (tiles, C), others (tiles, C, pixels).
+    `visit(carry, ids, weights, alphas)` gives the carry; ids (tiles, C), others (tiles, C, 64).
     """
     tiles, starts, counts = group
     pixels = pixel_centers(tiles, view.columns)
@@ -108,19 +107,19 @@ def groups(view: View) -> tuple[Array, ...]:
 
 
 def in_parts(function: Callable[[View, Any], Value], view: View, values: Any) -> list[Value]:
-    """Apply a function to parts of the tiles, and to all values, in a thread for each core.
+    """Apply a function to parts of the tiles, and to all values, in at most eight threads.
 
-    One part under `jax.jit`, on an accelerator, and in a thread, which shares the cores with other
-    views. The number of parts divides that of the groups, so that they share compiled code.
+    One under `jax.jit`, on an accelerator, and in a thread; else a divisor of the number of groups.
     """
     traced = any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((view, values)))
-    alone = threading.current_thread() is threading.main_thread()
+    alone = threading.current_thread() is threading.main_thread()  # else others use the cores
     here: Any = jax.config  # settings that hold for this thread only
-    bound = here.jax_default_device or here.jax_disable_jit or jax.default_backend() != "cpu"
-    if traced or bound or not alone:
+    bound = here.jax_default_device or here.jax_disable_jit or here.jax_enable_x64
+    if traced or bound or not alone or jax.default_backend() != "cpu":
         return [function(view, values)]
     rows = dict(zip(("tiles", "starts", "counts"), map(np.asarray, groups(view)), strict=True))
-    count = math.gcd(len(rows["tiles"]), 1 << (len(usable_cores()).bit_length() - 1))
+    most = min(2 if len(view.splats) > LARGE else 8, len(usable_cores()))  # each part has its sums
+    count = math.gcd(len(rows["tiles"]), 1 << (most.bit_length() - 1))
 
     def part(first: int) -> Value:
         own = {name: groups[first::count].ravel() for name, groups in rows.items()}
@@ -132,7 +131,7 @@ def in_parts(function: Callable[[View, Any], Value], view: View, values: Any) ->
 
 @jax.jit
 def in_row_major_order(parts: list[tuple[jax.Array, jax.Array]]) -> jax.Array:
-    """Pixels (T, D, 64) of tiles (T,), from several parts, in the order of the numbers of tiles."""
+    """Pixels (T, D, 64) of tiles (T,), of several parts, in the order of tiles, and a blank row."""
     tiles, pixels = map(jnp.concatenate, zip(*parts, strict=True))
     return jnp.zeros((len(pixels) + 1, *pixels.shape[1:])).at[tiles].set(pixels)
 

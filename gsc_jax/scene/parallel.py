@@ -1,5 +1,6 @@
 """Apply a function to views in threads or to rows in blocks, with a bound on memory."""
 
+import contextlib
 import os
 import sys
 from collections import deque
@@ -35,20 +36,22 @@ def workers() -> int:
 def compute_in_calling_thread() -> None:
     """Make JAX compute on the CPU in the thread that calls it, and XLA use no other threads.
 
-    XLA divides even the small steps of a walk among all cores and waits for them, which costs more
-    than it gains where views have a thread for each core. For programs, not for libraries: call it
-    before JAX computes. It does nothing on systems other than Linux.
+    XLA divides even small steps among all cores and waits for them, which costs more than it gains
+    where views have threads. For programs, before JAX computes; elsewhere than on Linux nothing.
     """
     if sys.platform != "linux":
         return
     jax.config.update("jax_cpu_enable_async_dispatch", False)
-    cores = os.sched_getaffinity(0)
+    cores, tasks = os.sched_getaffinity(0), Path("/proc/self/task")
+    before = set(tasks.iterdir())
     os.sched_setaffinity(0, {min(cores)})  # XLA starts as many threads
     try:
         jax.devices()
     finally:
-        for thread in Path("/proc/self/task").iterdir():
-            os.sched_setaffinity(int(thread.name), cores)
+        os.sched_setaffinity(0, cores)
+        for started in set(tasks.iterdir()) - before:
+            with contextlib.suppress(ProcessLookupError):  # it has ended
+                os.sched_setaffinity(int(started.name), cores)
 
 
 class ViewThreads(ThreadPoolExecutor):

@@ -85,3 +85,5 @@ def test_settings_that_hold_for_one_thread_hold_for_a_view(monkeypatch):
         assert parts() == 1
     with jax.disable_jit():
         assert parts() == 1
+    with jax.enable_x64(True):
+        assert parts() == 1

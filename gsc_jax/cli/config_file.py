@@ -84,8 +84,7 @@ def read_config_file(path: str | Path) -> ConfigFile:
         if config.get("tolerance"):
             raise InputError(f"{path}: config.tolerance and a number of views exclude each other")
         config.pop("tolerance", None)  # 0 in a result.json, as it follows from the options
-    _refuse_contradictions(path, command, config)
-    _refuse_escapes(path, command)
+    _check_settings(path, command, config)
     with naming(f"{path}: config", errors=ValueError):
         if report:
             _reopen_schedule(base, config, content.get("judged_views"))
@@ -125,17 +124,13 @@ def _method(path: Path, command: Table, config: Mapping[str, Any]) -> Method:
     return method
 
 
-def _refuse_contradictions(path: Path, command: Table, config: Table) -> None:
-    """Refuse a file whose tables give different values to one setting."""
+def _check_settings(path: Path, command: Table, config: Table) -> None:
+    """Refuse different values of one setting, and texts that --help could not show as they are."""
     given = {**config, "lambda2": config.get("loop", {}).get("lambda2")}
     for name in (*SHARED_FIELDS, *METHOD_OPTIONS):
         one, other = command.get(name), given.get(name)
         if None not in (one, other) and one != other:
             raise InputError(f"{path}: {name} is {one} in command and {other} in config")
-
-
-def _refuse_escapes(path: Path, command: Table) -> None:
-    """Refuse texts that --help, which shows the options of the file, could not show as they are."""
     for name, value in command.items():
         parts = value if isinstance(value, tuple) else (value,)
         if not all(str(part).isprintable() for part in parts):

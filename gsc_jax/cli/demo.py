@@ -74,7 +74,11 @@ def run_demo(
     for name, result in results.items():
         mask = functools.partial(view_mask, scored=result, rule=result.estimator.mask_rule)
         found[name] = {camera.name: mask(made.gaussians, camera) for camera in made.heldout_cameras}
-    _write_picture(options.out / "heldout.png", case, found)
+    rows = {}
+    for camera in evenly_spaced(made.heldout_cameras, SHEET_ROWS):
+        image, views = np.asarray(render(made.gaussians, camera)[0]), [case.truth, *found.values()]
+        rows[camera.name] = [image, *(overlay(image, masks[camera.name]) for masks in views)]
+    contact_sheet(options.out / "heldout.png", rows, titles=("render", "truth", *found))
     return [
         *_introduction(case),
         "",
@@ -146,12 +150,3 @@ def _table(case: Case, results: Mapping[str, Result], found: Mapping[str, Views]
         cells += [f"{means.f1:.3f}", f"{means.iou:.3f}"]
         lines.append(f"{method:20}" + "".join(f"{cell:>11}" for cell in cells))
     return lines
-
-
-def _write_picture(path: Path, case: Case, found: Mapping[str, Views]) -> None:
-    rows = {}
-    for camera in evenly_spaced(case.made.heldout_cameras, SHEET_ROWS):
-        image = np.asarray(render(case.made.gaussians, camera)[0])
-        masks = [case.truth, *found.values()]
-        rows[camera.name] = [image, *(overlay(image, views[camera.name]) for views in masks)]
-    contact_sheet(path, rows, titles=("render", "truth", *found))

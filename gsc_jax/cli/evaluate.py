@@ -40,8 +40,15 @@ def run_evaluate(options: Evaluate) -> tuple[list[str], list[str]]:
     report: dict[str, Any] = {"folder": options.folder, "truth": options.truth}
     lines, warnings = list[str](), list[str]()
     if labels is not None:
-        report["gaussians"] = _by_gaussian(results, labels)
-        lines += [*_gaussian_table(report["gaussians"]), ""]
+        scores = report["gaussians"] = _by_gaussian(results, labels)
+        lines += [
+            f"{scores['found']:,} of {scores['rows']:,} Gaussians were found, "
+            f"{scores['tampered']:,} are tampered, {scores['both']:,} are both.",
+            "",
+            _row("by Gaussian", [*MEASURES.values(), "AUC"]),
+            _row("", [scores[name] for name in (*MEASURES, "auc")]),
+            "",
+        ]
     if masks is not None:
         report["views"] = _by_view(results, masks, limit, warnings)
         lines += [*_view_table(report["views"]), ""]
@@ -148,16 +155,6 @@ def _scores(masks: Mapping[str, np.ndarray], truth: Mapping[str, np.ndarray]) ->
         },
         "per_authentic_view": areas,
     }
-
-
-def _gaussian_table(scores: Mapping[str, Any]) -> list[str]:
-    return [
-        f"{scores['found']:,} of {scores['rows']:,} Gaussians were found, {scores['tampered']:,} "
-        f"are tampered, {scores['both']:,} are both.",
-        "",
-        _row("by Gaussian", [*MEASURES.values(), "AUC"]),
-        _row("", [scores[name] for name in (*MEASURES, "auc")]),
-    ]
 
 
 def _view_table(views: Mapping[str, Any]) -> list[str]:

@@ -148,23 +148,18 @@ def dry_run(options: Locate, *, monitor: Monitor) -> tuple[list[str], list[str]]
     config |= {f"loop.{key}": value for key, value in config.pop("loop", {}).items()}
     sizes = [(camera.width, camera.height) for camera in inputs.cameras]
     pixels = " to ".join(f"{w} x {h}" for w, h in dict.fromkeys((min(sizes), max(sizes))))
+    sources = ["the attributes of the Gaussians"] if inputs.attributes else []
+    if inputs.detector is not None:
+        network = detector_choice.network_path(inputs.options)
+        source = f"{network} on up to" if network else f"masks in {inputs.options.masks} of"
+        sources.append(f"{source} {len(inputs.detector.select(inputs.cameras))} views")
     earlier = earlier_results(options.out)
     origin = options.cameras or "cameras that were placed around the scene"
     return [
         f"Dry run: nothing was written to {options.out}.",
         f"scene    {options.scene}: {len(inputs.scene.gaussians):,} Gaussians",
         f"views    {len(sizes)} of {pixels} pixels, from {origin}",
-        *(f"evidence {source}" for source in _evidence(inputs)),
+        *(f"evidence {source}" for source in sources),
         *(f"config   {name} = {value}" for name, value in config.items()),
         f"writes   {options.out}: {'replaces ' + earlier if earlier else 'new results'}",
     ], inputs.warnings
-
-
-def _evidence(inputs: Inputs) -> list[str]:
-    sources = ["the attributes of the Gaussians"] if inputs.attributes else []
-    if inputs.detector is not None:
-        count = len(inputs.detector.select(inputs.cameras))
-        network = detector_choice.network_path(inputs.options)
-        source = f"{network} on up to" if network else f"masks in {inputs.options.masks} of"
-        sources.append(f"{source} {count} views")
-    return sources

@@ -16,7 +16,7 @@ from gsc_jax.cli.options import Locate, arg
 from gsc_jax.cli.ownership import UNFINISHED, refuse_blocked, refuse_foreign_file, refuse_overlap
 from gsc_jax.cli.report.wording import share
 from gsc_jax.cli.staging import locked
-from gsc_jax.collection.manifest import Entry, read_manifest
+from gsc_jax.collection.manifest import read_manifest
 from gsc_jax.collection.page import MARK, collection_page
 from gsc_jax.collection.record import Row, merge_rows, read_rows
 from gsc_jax.collection.scan import import_ray, scan
@@ -87,7 +87,13 @@ def run_scan(options: Scan, *, monitor: Monitor) -> tuple[list[str], list[str]]:
         cores = int(ray.cluster_resources().get("CPU", 1))
         workers = options.workers or max(cores // options.cpus, 1)
         settings = dataclasses.replace(settings, workers=min(workers, len(entries)))
-        done = _scanned(ray, entries, settings, monitor)
+        logging.getLogger("ray.data").setLevel(logging.ERROR)
+        ray.data.DataContext.get_current().enable_progress_bars = False
+        dataset = ray.data.from_items(entries, override_num_blocks=min(len(entries), MAX_BLOCKS))
+        found = scan(dataset, settings=settings).iter_rows()
+        kept = ("id", "key", "status", "error_class")
+        tracked = monitor.track("scenes", found, len(entries))
+        done = [{name: row[name] for name in kept} for row in tracked]
         merge_rows(out, settings.digest(), {row["id"]: row["key"] for row in done})
         rows = list(read_rows(out, settings.digest()))
         with atomic(out / PAGE) as temporary:
@@ -130,14 +136,6 @@ def _connected(ray: Any, options: Scan) -> Iterator[None]:
         yield
     finally:
         ray.shutdown()
-
-
-def _scanned(ray: Any, entries: list[Entry], settings: ScanSettings, monitor: Monitor) -> list[Row]:
-    logging.getLogger("ray.data").setLevel(logging.ERROR)
-    ray.data.DataContext.get_current().enable_progress_bars = False
-    dataset = ray.data.from_items(entries, override_num_blocks=min(len(entries), MAX_BLOCKS))
-    rows = monitor.track("scenes", scan(dataset, settings=settings).iter_rows(), len(entries))
-    return [{name: row[name] for name in ("id", "key", "status", "error_class")} for row in rows]
 
 
 def _summary(rows: list[Row], done: list[Row], options: Scan, monitor: Monitor) -> list[str]:

@@ -12,7 +12,7 @@ import contextlib
 import hmac
 import json
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 import filelock
@@ -137,7 +137,12 @@ def _commit(work: Path, out: Path, report: str) -> None:
         (work / NEW / report).write_text(text + "\n", "utf-8")
     last = [name for name in ("report.html", report) if name in names]
     moved = [*(name for name in names if name not in last), *last]
-    removed = [*reversed(last), *_leftovers(out, report, names)]
+    # Also pictures and scores of an earlier run that this one does not replace.
+    digests = ownership.listed_outputs(out, report)
+    old = [name for name in digests if name not in names and name.endswith((".png", ".jpg"))]
+    removed = [*reversed(last), *(name for name in old if ownership.is_output(out, name, digests))]
+    if "result.json" in digests and ownership.has_mark(out / EVALUATION, EVALUATION_MARK):
+        removed.append(EVALUATION)
     _write(work / JOURNAL, ownership.sealed(out, json.dumps({"moved": moved, "removed": removed})))
     _publish(work, out)
 
@@ -173,15 +178,6 @@ def _write(path: Path, content: bytes) -> None:
     partial.unlink(missing_ok=True)  # opening a pipe of this name would block
     partial.write_bytes(content)
     partial.replace(path)
-
-
-def _leftovers(out: Path, report: str, names: Sequence[str]) -> list[str]:
-    """Pictures and scores of an earlier run that a run which writes `names` does not replace."""
-    digests = ownership.listed_outputs(out, report)
-    old = [name for name in digests if name not in names and name.endswith((".png", ".jpg"))]
-    left = [name for name in old if ownership.is_output(out, name, digests)]
-    scored = "result.json" in digests and ownership.has_mark(out / EVALUATION, EVALUATION_MARK)
-    return [*left, EVALUATION] if scored else left
 
 
 @contextlib.contextmanager

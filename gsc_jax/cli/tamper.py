@@ -53,7 +53,18 @@ def run_tamper(options: Tamper, *, monitor: Monitor) -> tuple[list[str], list[st
         monitor.progress("edit", 1, 1)
         _write(folder, options, edited, cameras, monitor)
         _write_overview(folder / "overview.png", scene.gaussians, edited, cameras, options.near)
-        _describe(folder, options, edited, cameras)
+        failures = None if options.masks == "none" else dataclasses.asdict(REGIMES[options.masks])
+        shares = zip([camera.name for camera in cameras], edited.visible, strict=True)
+        description = {
+            "description": edited.description,
+            "command": dataclasses.asdict(options),
+            "failures": failures,
+            "gaussians": len(edited.labels),
+            "tampered": int(edited.labels.sum()),
+            "visible": {name: round(float(share), 5) for name, share in shares},
+            "versions": versions(),
+        }
+        write_json(folder / REPORT, description)
     return _lines(options, edited), warnings
 
 
@@ -120,20 +131,6 @@ def write_views(
     """Write an image for every camera, named after it."""
     for name, image in images.items():
         write(image_path(folder, name), image)
-
-
-def _describe(folder: Path, options: Tamper, edited: Tampered, cameras: Sequence[Camera]) -> None:
-    shares = zip([camera.name for camera in cameras], edited.visible, strict=True)
-    description = {
-        "description": edited.description,
-        "command": dataclasses.asdict(options),
-        "failures": None if options.masks == "none" else dataclasses.asdict(REGIMES[options.masks]),
-        "gaussians": len(edited.labels),
-        "tampered": int(edited.labels.sum()),
-        "visible": {name: round(float(share), 5) for name, share in shares},
-        "versions": versions(),
-    }
-    write_json(folder / REPORT, description)
 
 
 def _write_overview(

@@ -7,15 +7,12 @@ selects one. Colours C0 (tampered, or candidates) and C1 (authentic) repeat thos
 
 import io
 from base64 import b64encode
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from gsc_jax.cli.report.wording import are_candidates
 from gsc_jax.locate import Result
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 CANDIDATE = "#1f6feb"
 LIGHT = INK, MUTED, TAMPERED, AUTHENTIC = "#1c1b1a", "#5c5954", "#b3004b", "#22588f"
@@ -51,8 +48,18 @@ def score_histogram(result: Result) -> Chart:
     threshold, file = result.estimator.threshold, io.StringIO()
     scores, labels = result.tamper[result.seen], result.labels[result.seen]
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(4.4, 3.0), layout="constrained")
-        _draw(figure.subplots(), scores, labels, threshold, noun.split()[0])
+        figure, edges = Figure((4.4, 3.0), layout="constrained"), np.linspace(0, 1, SCORE_BINS + 1)
+        tampered, authentic = (np.histogram(scores[x], edges)[0] for x in (labels, ~labels))
+        axes = figure.subplots()
+        axes.stairs(tampered, edges, fill=True, color="C0", alpha=0.35, label=noun.split()[0])
+        axes.stairs(tampered, edges, color="C0", linewidth=1.2)
+        axes.stairs(authentic, edges, color="C1", linestyle="--", label="others")
+        axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.08), ncols=2, frameon=False)
+        axes.axvline(threshold, color="0.5")
+        place = (threshold, 1.03)
+        axes.annotate("threshold", place, xycoords=("data", "axes fraction"), ha="center")
+        axes.set_yscale("symlog", linthresh=1)
+        axes.set(xlim=(0, 1), ylim=(0, None), xlabel="score", ylabel="Gaussians")
         figure.savefig(file, format="svg", transparent=True, metadata={"Date": None})
     light = file.getvalue()
     light = dark = light.replace(TAMPERED, CANDIDATE) if noun == "candidates" else light
@@ -68,16 +75,3 @@ def score_histogram(result: Result) -> Chart:
         "scale."
     )
     return Chart(text, *uris)
-
-
-def _draw(axes: "Axes", scores: np.ndarray, labels: np.ndarray, level: float, name: str) -> None:
-    edges = np.linspace(0, 1, SCORE_BINS + 1)
-    tampered, authentic = (np.histogram(scores[x], edges)[0] for x in (labels, ~labels))
-    axes.stairs(tampered, edges, fill=True, color="C0", alpha=0.35, label=name)
-    axes.stairs(tampered, edges, color="C0", linewidth=1.2)
-    axes.stairs(authentic, edges, color="C1", linestyle="--", label="others")
-    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.08), ncols=2, frameon=False)
-    axes.axvline(level, color="0.5")
-    axes.annotate("threshold", (level, 1.03), xycoords=("data", "axes fraction"), ha="center")
-    axes.set_yscale("symlog", linthresh=1)
-    axes.set(xlim=(0, 1), ylim=(0, None), xlabel="score", ylabel="Gaussians")

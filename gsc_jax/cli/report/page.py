@@ -38,6 +38,7 @@ def report_page(
     found = thumbnails(folder, [view["name"] for view in views])
     images = list(monitor.track("report", found, len(views)))
     present = {image.layer for view in images for image in view}
+    totals = {name: sum(path.startswith(name) for path in report["outputs"]) for name in OUTPUTS}
     return complete_page(
         "gsc_jax.cli.report",
         "report",
@@ -56,19 +57,13 @@ def report_page(
         ),
         layers={name: title for name, title in LAYERS.items() if name in present},
         histogram=score_histogram(result),
-        files=_files(report["outputs"]),
+        files=[
+            (name, f"{text} ({totals[name]})" if name.endswith("/") else text)
+            for name, text in OUTPUTS.items()
+            if totals[name]
+        ],
         tables=_tables(report),
     )
-
-
-def _files(outputs: list[str]) -> list[tuple[str, str]]:
-    """Name and description of each file and folder, in the order of `OUTPUTS`."""
-    counts = {name: sum(path.startswith(name) for path in outputs) for name in OUTPUTS}
-    return [
-        (name, f"{text} ({counts[name]})" if name.endswith("/") else text)
-        for name, text in OUTPUTS.items()
-        if counts[name]
-    ]
 
 
 def _tables(report: Mapping[str, Any]) -> dict[str, list[tuple[str, str]]]:

@@ -87,6 +87,8 @@ def viewer_contents(results: Results, *, most: int) -> tuple[Contents, list[str]
     means = np.asarray(gaussians.means)
     sample = means[np.linspace(0, len(means) - 1, min(len(means), MAX_DEPTH_SAMPLES)).astype(int)]
     near, up = float(results.report["config"]["near"]), mean_up(results.cameras)
+    traced = (results.report.get("attributes") or {}).get("traces")
+    traces = forensic_evidence(gaussians).traces if traced else ()
     shares = [-view.get("tampered_share", 0) for view in results.report["per_view"]]
     cameras = [results.cameras[k] for k in np.argsort(shares, kind="stable")]
     poses = [pose(camera, sample, up=up, near=near) for camera in cameras]
@@ -100,19 +102,19 @@ def viewer_contents(results: Results, *, most: int) -> tuple[Contents, list[str]
         candidates=wording.are_candidates(results.report.get("verdict")),
         rows=results.scene.rows[rows],
         total=results.scene.total,
-        traces={name: has[rows] for name, has in _traces(results).items()},
+        traces={trace.name: trace.score[rows] > 0.5 for trace in traces if trace.found},
         poses=poses,
         up=up,
         near=near,
         far=2 * float(np.linalg.norm(np.ptp(np.concatenate([chosen.centers, places]), axis=0))),
     )
-    return contents, _omission(results, rows)
-
-
-def _traces(results: Results) -> dict[str, np.ndarray]:
-    has_some = (results.report.get("attributes") or {}).get("traces")
-    found = forensic_evidence(results.scene.gaussians).traces if has_some else ()
-    return {trace.name: trace.score > 0.5 for trace in found if trace.found}
+    omitted = len(results.labels) - len(rows)
+    tampered = int(results.labels.sum() - results.labels[rows].sum())
+    note = (
+        f"shows {len(rows):,} of {len(results.labels):,} Gaussians, those of largest opacity times "
+        f"area; {tampered:,} of the {omitted:,} omitted are labelled; --most N shows more"
+    )
+    return contents, [note] if omitted else []
 
 
 def _sentences(results: Results) -> list[str]:
@@ -128,13 +130,3 @@ def _sentences(results: Results) -> list[str]:
     meaning = wording.meaning(verdict, basis=wording.basis(masks, attributes), traced=traces)
     reason = f"The scene probability of an edit is {wording.percent(verdict)}. {meaning}"
     return [wording.headline(verdict, tampered), labels, reason, *traces.values()]
-
-
-def _omission(results: Results, rows: np.ndarray) -> list[str]:
-    omitted = len(results.labels) - len(rows)
-    tampered = int(results.labels.sum() - results.labels[rows].sum())
-    note = (
-        f"shows {len(rows):,} of {len(results.labels):,} Gaussians, those of largest opacity times "
-        f"area; {tampered:,} of the {omitted:,} omitted are labelled; --most N shows more"
-    )
-    return [note] if omitted else []

@@ -61,10 +61,14 @@ def run_view(
     del contents
     token, scene = secrets.token_urlsafe(16), result_file(options.folder, "tamper.ply")
     with serving(page, scene, token=token, host=options.host, port=options.port) as port:
-        for line in (_address_line(options, port, token), *notes, "end with Ctrl-C"):
+        address = _url(options.host, port, token)
+        note = f" (port {options.port} is taken)" if options.port not in (0, port) else ""
+        if options.host in ALL_ADDRESSES:
+            note += f", from other machines {_url(socket.gethostname(), port, token)}"
+        for line in (f"view     {address}{note}", *notes, "end with Ctrl-C"):
             say(line)
         if not options.no_browser:
-            webbrowser.open(_url(options.host, port, token))
+            webbrowser.open(address)
         with contextlib.suppress(KeyboardInterrupt):
             (wait or threading.Event().wait)()
     return ["the server has ended"], []
@@ -143,13 +147,6 @@ def _check(options: View) -> None:
         raise InputError(f"--most {options.most}: expected at least one Gaussian")
     if not 0 <= options.port < 65536:
         raise InputError(f"--port {options.port}: expected a number from 0 to 65535")
-
-
-def _address_line(options: View, port: int, token: str) -> str:
-    note = f" (port {options.port} is taken)" if options.port not in (0, port) else ""
-    if options.host in ALL_ADDRESSES:
-        note += f", from other machines {_url(socket.gethostname(), port, token)}"
-    return f"view     {_url(options.host, port, token)}{note}"
 
 
 def _url(host: str, port: int, token: str) -> str:

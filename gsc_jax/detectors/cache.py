@@ -67,7 +67,12 @@ class CachedDetector:
         with self._failing_softly():
             self._store.put(MAP, name, probability)
             self._store.put(DIAGNOSTICS, name, np.frombuffer(counts, np.uint8))
-            self._remove_oldest()
+            files = [(path.stat(), path) for path in self.folder.glob("*.npy")]
+            files.sort(key=lambda entry: -entry[0].st_mtime_ns)
+            sizes = np.cumsum([stat.st_size for stat, _ in files])
+            for (_, path), size in zip(files, sizes, strict=True):
+                if size > self._max_bytes:
+                    path.unlink(missing_ok=True)
         return probability
 
     @property
@@ -91,11 +96,3 @@ class CachedDetector:
             yield
         except (OSError, ValueError) as error:
             self._failures.append(brief(error))
-
-    def _remove_oldest(self) -> None:
-        files = [(path.stat(), path) for path in self.folder.glob("*.npy")]
-        files.sort(key=lambda entry: -entry[0].st_mtime_ns)
-        sizes = np.cumsum([stat.st_size for stat, _ in files])
-        for (_, path), size in zip(files, sizes, strict=True):
-            if size > self._max_bytes:
-                path.unlink(missing_ok=True)

@@ -92,18 +92,6 @@ class SafireDetector(NetworkDetector):
         """Probability map (S, S), and the counts of `forged_region`."""
         square, _ = fit_image(image, (self._side, self._side), fit="resize")
         (embeddings,) = self._encoder.run(to_tensor(square, SAM), view=view)
-        logits, confidences = self._decode(embeddings, view)
-        return forged_region(logits, confidences, embeddings[0], side=self._side, seed=self.seed)
-
-    @functools.cached_property
-    def fingerprint(self) -> str:
-        """Key for `CachedDetector`: a digest of everything that determines the map of an image."""
-        options = ("safire", self.grid, self.seed, self._side, self._batch)
-        encoder = fingerprint(self.encoder, options, self._encoder.providers)
-        return encoder + fingerprint(self.decoder, self._decoder.providers)
-
-    def _decode(self, embeddings: np.ndarray, view: str) -> tuple[np.ndarray, np.ndarray]:
-        """Masks (P, h, w) and confidences (P,) of the whole grid."""
         points = point_grid(self.grid, side=self._side)
         labels = np.ones((self._batch, 1), np.float32)
         masks, confidences = [], []
@@ -113,7 +101,15 @@ class SafireDetector(NetworkDetector):
             found = self._decoder.run(embeddings, points[rows, None], labels, view=view)
             masks.append(found[0][:, 0])
             confidences.append(found[1][:, 0])
-        return np.concatenate(masks)[: len(points)], np.concatenate(confidences)[: len(points)]
+        logits, sure = (np.concatenate(parts)[: len(points)] for parts in (masks, confidences))
+        return forged_region(logits, sure, embeddings[0], side=self._side, seed=self.seed)
+
+    @functools.cached_property
+    def fingerprint(self) -> str:
+        """Key for `CachedDetector`: a digest of everything that determines the map of an image."""
+        options = ("safire", self.grid, self.seed, self._side, self._batch)
+        encoder = fingerprint(self.encoder, options, self._encoder.providers)
+        return encoder + fingerprint(self.decoder, self._decoder.providers)
 
 
 def _model_files(folder_or_encoder: Path, decoder: str | Path | None) -> tuple[Path, Path]:

@@ -112,8 +112,6 @@ def same_view(probability: Any, camera: Camera) -> np.ndarray:
 
 @dataclasses.dataclass(frozen=True)
 class _FunctionDetector:
-    """A function of the image as a detector."""
-
     function: Callable[[np.ndarray], Any]
     needs_image = True
 
@@ -131,8 +129,6 @@ class _FunctionDetector:
 
 @dataclasses.dataclass(frozen=True)
 class _MappingDetector:
-    """Given probability maps by camera name as a detector."""
-
     maps: Mapping[str, Any]
     needs_image = False
 

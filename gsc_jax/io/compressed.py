@@ -94,16 +94,12 @@ def is_compressed_ply(ply: PlyData, path: Path) -> bool:
 def _check_spz(path: Path, max_bytes: int | None) -> None:
     """Refuse a .spz whose streams expand to more than is allowed; nothing of them is kept."""
     data = path.read_bytes()
-    if data.startswith(SPZ_MAGIC):
-        return _check_spz_streams(data, path, max_bytes)
-    with gzip.open(path) as stream:
-        while stream.read(BLOCK_BYTES):
-            check_allocation(path, BYTES_PER_BYTE * stream.tell(), max_bytes)
-
-
-def _check_spz_streams(data: bytes, path: Path, max_bytes: int | None) -> None:
-    """Check the sizes in the table of a .spz of version 4, and those that its streams state."""
-    import zstandard
+    if not data.startswith(SPZ_MAGIC):
+        with gzip.open(path) as stream:
+            while stream.read(BLOCK_BYTES):
+                check_allocation(path, BYTES_PER_BYTE * stream.tell(), max_bytes)
+        return
+    import zstandard  # only for version 4, whose table and streams state sizes
 
     streams, table = struct.unpack_from("<BI", data, 15)
     sizes = list(struct.iter_unpack("<QQ", data[table : table + 16 * streams]))

@@ -47,7 +47,7 @@ def composite(view: View, features: jax.Array) -> jax.Array:
 
 @jax.jit
 def _blended(view: View, features: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """The tiles (T,) of a view, and the image in these, shape (T, D, 64)."""
+    """The numbers (T,) of the tiles of a view, and their part of the image, shape (T, D, 64)."""
     padded = jnp.pad(features, ((0, 1), (0, 0)))
 
     def visit(image, ids, weights, _):

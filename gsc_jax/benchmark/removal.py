@@ -64,7 +64,8 @@ class Hole:
     def cost(self) -> float:
         """Difficulty of filling: low for smooth ground on all sides and a flat region.
 
-        Mean height around (by `MAX_HEIGHT`, at most 1), half of that within, share without ground.
+        The sum of the mean height around (in units of `MAX_HEIGHT`, at most 1), half of the mean
+        height within, and the share of the sectors without ground.
         """
         around, within = (np.minimum(abs(x[:, 2]) / MAX_HEIGHT, 1) for x in (self.ring, self.rows))
         radii, angles = _polar(self.ring)

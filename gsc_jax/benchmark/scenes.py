@@ -2,7 +2,8 @@
 
 The demo and the tests run on it, since no trained scene can be shipped. The object has the
 statistics of another training, like an object cut from another model, and the rows are shuffled, so
-that neither order nor position in the file reveals it. Textures are images of scikit-image.
+that neither order nor position in the file reveals it. Metres, y down, floor at y = 0. Textures are
+images of scikit-image, so nothing is downloaded; if they are missing, there is an InputError.
 """
 
 import dataclasses

@@ -150,7 +150,8 @@ def _escaped_stderr(argv: Sequence[str]) -> Iterator[None]:
 
 def _run(command: Command) -> None:
     """Run a command; print its lines, and last of all the warnings."""
-    if isinstance(command, SceneOptions | Demo) and not isinstance(command, Scan):
+    dry = getattr(command, "dry_run", False)
+    if isinstance(command, SceneOptions | Demo) and not (dry or isinstance(command, Scan)):
         compute_in_calling_thread()  # a scan does in its workers
     if not getattr(command, "no_cache", False):
         enable_compilation_cache(cache_folder())

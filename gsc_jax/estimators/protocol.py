@@ -52,7 +52,8 @@ class Prior:
             (N,) in [0, 1]; needs a value also where `known` is false.
         verdict: Probability that the scene was edited.
         known: Gaussians for which the probability means something, shape (N,) bool.
-        exact: Whether the prior is exact, and keeps half of the weight even where masks agree.
+        exact: Whether the prior identifies the tampered Gaussians exactly; it then keeps half of
+            the weight even where masks agree.
 
     Raises:
         ValueError: if a value is outside its range or a shape differs.

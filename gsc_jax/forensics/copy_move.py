@@ -41,7 +41,8 @@ def copy_move(
     """Detect regions whose Gaussians occur again elsewhere, moved in the same way.
 
     Nearly all Gaussians of a filled hole have duplicates, but only a part of their source; of an
-    object that was copied as a whole, both copies are marked. `duplicates`: `nearest_duplicates`.
+    object that was copied as a whole, both copies are marked. `duplicates` are
+    those of `nearest_duplicates`, (N,), where they are known.
     """
     moves = np.zeros(len(gaussians))
     if neighbours.size:

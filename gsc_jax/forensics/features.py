@@ -39,7 +39,8 @@ MAX_BYTES_IN_MEMORY = 2**28
 class Features:
     """Features of N Gaussians.
 
-    Finite, within +-`MAX_DEVIATION`; they take three times the memory of the scene, or a file.
+    The values are finite and within +-`MAX_DEVIATION`. They take three times the memory of the
+    scene, so those of a large one lie in a file.
 
     Attributes:
         names: Names of the F columns, `group.number.surroundings`.

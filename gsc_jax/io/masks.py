@@ -35,7 +35,8 @@ _OPENING = threading.Lock()
 BYTES_PER_PIXEL = 32
 """Memory of a coloured mask while it is reduced to one channel and resized, with 8 bytes each."""
 MAX_PART_BYTES, MAX_NAME_BYTES = 240, 1000
-"""Lengths of the names of cameras: file systems allow 255 bytes for a part, 4096 for a path."""
+"""Lengths of the names of cameras. Most file systems allow 255 bytes for a part and 4096 for a
+path, to which the folder and a suffix are added."""
 
 GREY_TOLERANCE_LEVELS = 8
 """Largest difference between the channels of a grey pixel. Lossy formats do not keep them equal:

@@ -37,7 +37,8 @@ def compute_in_calling_thread() -> None:
     """Make JAX compute on the CPU in the thread that calls it, and XLA use no other threads.
 
     XLA divides even small steps among all cores and waits for them, which costs more than it gains
-    where views have threads. For programs, before JAX computes; elsewhere than on Linux nothing.
+    where views have a thread for each core. For programs, not for libraries: call it before JAX
+    computes. It does nothing on systems other than Linux.
     """
     if sys.platform != "linux":
         return

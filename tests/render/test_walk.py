@@ -20,12 +20,18 @@ FEATURES = jnp.asarray(np.random.default_rng(0).random((300, 3)), jnp.float32)
 MAPS = jnp.asarray(np.random.default_rng(1).random((120, 200, 3)), jnp.float32)
 
 
+ON_CPU = pytest.mark.skipif(
+    jax.default_backend() != "cpu", reason="an accelerator walks a view in one part"
+)
+
+
 def test_the_exponential_of_visible_splats():
     x = np.linspace(LOG_MIN_ALPHA, 0, 100_001, dtype=np.float32)
     np.testing.assert_allclose(exp_of_visible(jnp.asarray(x)), np.exp(x.astype(float)), rtol=3e-6)
     assert exp_of_visible(jnp.float32(0)) <= 1
 
 
+@ON_CPU
 @pytest.mark.parametrize("cores", [1, 2, 4, 8, 13])
 def test_parts_cover_each_tile_once(monkeypatch, cores):
     monkeypatch.setattr(walk, "usable_cores", lambda: list(range(cores)))
@@ -39,6 +45,7 @@ def test_parts_cover_each_tile_once(monkeypatch, cores):
     assert all(part.counts[0] == np.max(part.counts) for part in parts)
 
 
+@ON_CPU
 def test_parts_give_what_the_whole_gives(monkeypatch):
     monkeypatch.setattr(walk, "usable_cores", lambda: list(range(4)))
     view = make_view(SCENE, CAMERA)
@@ -73,7 +80,8 @@ def test_under_jit_there_is_one_part(monkeypatch):
     assert counts == [len(view.tiles)] * 2
 
 
-def test_settings_that_hold_for_one_thread_hold_for_a_view(monkeypatch):
+@ON_CPU
+def test_device_jit_and_x64_of_one_thread_hold_for_a_view(monkeypatch):
     monkeypatch.setattr(walk, "usable_cores", lambda: list(range(4)))
     view = make_view(SCENE, CAMERA)
 

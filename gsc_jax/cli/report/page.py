@@ -2,7 +2,8 @@
 
 The page is complete in one file: thumbnails are embedded, full images are loaded from the folder
 beside it if present, and a content security policy forbids the network and foreign scripts. The
-HTML is complete without JavaScript. The template escapes names of cameras and files.
+HTML is complete without JavaScript. Names of cameras and files are foreign text: the template
+escapes them, and none is in the script or the style sheet.
 """
 
 import base64

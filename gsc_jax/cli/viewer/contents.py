@@ -30,7 +30,8 @@ class Pose(NamedTuple):
 def pose(camera: Camera, means: Array, *, up: Array, near: float = NEAR) -> Pose:
     """Convert a camera; its principal point is taken to be the middle of the image.
 
-    What it looks at has the median depth of `means` (N, 3); `up` is the unit vector of the scene.
+    What it looks at has the median depth of those of the `means`, (N, 3), that it shows beyond the
+    near plane, or 1; `up` is the unit up direction of the scene.
     """
     rotation, K = np.asarray(camera.viewmat, np.float64)[:3, :3], np.asarray(camera.K, np.float64)
     right, down, forward = rotation

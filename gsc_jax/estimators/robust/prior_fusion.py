@@ -4,7 +4,8 @@ Both come with a probability that they show an edit at all: the masks by how man
 prior by its own verdict on the scene. A prior can be sure and wrong, and must not cost what the
 masks alone find. So it decides only what no view sees, and everything if hardly any views agree;
 only an exact prior can overrule masks. Where what the masks label does not stand out in the prior,
-the scene probability falls. Where masks are no evidence and label several regions, it chooses one.
+the scene probability falls. Where the masks are no evidence of an edit and label several regions,
+the prior decides between them, which costs an edit if it is wrong.
 """
 
 import math

@@ -1,7 +1,8 @@
 """The cyclic optimisation: Adam on the attribute, first with the 2D loss, then with both losses.
 
-One `step` serves two paths. `fit_rendered` renders the attribute and differentiates `loss_2d`
-through `composite`. `fit` evaluates the same linear function from the evidence of the views.
+There are two ways with the same `step` and the same result. `fit_rendered` follows the definition:
+it renders the attribute and differentiates `loss_2d` through `composite`. `fit` is faster: it
+computes the same linear function from the evidence of the views.
 """
 
 import dataclasses

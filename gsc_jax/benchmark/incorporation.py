@@ -127,7 +127,11 @@ def placement_cost(
 
 
 def extent(gaussians: Gaussians) -> tuple[np.ndarray, np.ndarray]:
-    """Box of the opaque centres without 0.5 % on each side; InputError if few or flat."""
+    """Lower and upper corner of a box around the centres of the opaque Gaussians, shapes (3,).
+
+    The outermost 0.5 % on each side are left out. InputError if there are fewer than ten opaque
+    Gaussians, or the box is flat.
+    """
     opaque = np.asarray(gaussians.opacities) > 0.5
     means = np.asarray(gaussians.means, np.float64)
     if np.count_nonzero(opaque) < 10:

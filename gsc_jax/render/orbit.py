@@ -39,7 +39,8 @@ def orbit_cameras(
 ) -> list[Camera]:
     """Place cameras on a circle around a scene, at three elevations, looking at its centre.
 
-    A sphere around most opaque Gaussians fills the image. Unusable rows are ignored.
+    The centre is the median of the opaque Gaussians. A sphere around most of them fills the image.
+    Rows that cannot be rendered are ignored.
 
     Args:
         gaussians: The scene.
@@ -53,7 +54,8 @@ def orbit_cameras(
         n cameras, NumPy float32.
 
     Raises:
-        InputError: if an argument is invalid, or no Gaussian can be rendered.
+        InputError: if n, the size, the field of view or the up direction is invalid, or no
+            Gaussian can be rendered.
     """
     up = np.asarray(up, np.float64)
     valid_up = up.shape == (3,) and 0 < np.linalg.norm(up) < np.inf

@@ -26,7 +26,8 @@ from gsc_jax.scene.pytree import STATIC
 TILE = 8
 """Side of a tile in pixels."""
 MAX_INTERSECTIONS = 2**28
-"""Intersections of splats and tiles in a view: more would fill the memory."""
+"""Most pairs of a splat and a tile that it touches in a view: more would fill the memory, and real
+scenes have a few per splat."""
 CPU_LOCKSTEPS, MIN_GROUPS = (128, 64, 32, 16), 8
 """Tiles in a group on a CPU: the first of these sizes that gives at least `MIN_GROUPS` groups. The
 weights of 128 tiles for a chunk of splats fit into the L2 cache; more groups stop earlier."""

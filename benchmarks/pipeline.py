@@ -32,10 +32,11 @@ import tyro
 
 import gsc_jax
 from gsc_jax.estimators.gschecker import OFFICIAL, PAPER
+from gsc_jax.evidence.masks import Labelled, view_mask
 from gsc_jax.evidence.monitor import peak_memory_mib
 from gsc_jax.render.tiles import make_view
 from gsc_jax.scene import Camera, Gaussians
-from gsc_jax.scene.parallel import compute_in_calling_thread
+from gsc_jax.scene.parallel import ViewThreads, compute_in_calling_thread
 from gsc_jax.splat import accumulate
 
 Part = Literal[
@@ -81,10 +82,19 @@ def many_views(count: int = 300_000) -> tuple[Gaussians, list[Camera], dict[str,
         viewmat = np.array(camera.viewmat)
         viewmat[:3, 3] += 0.01 * (index // len(cameras))
         views.append(dataclasses.replace(camera, viewmat=viewmat, name=f"{index:03d}"))
-    blob = np.zeros((HEIGHT, WIDTH), np.float32)
-    blob[150:270, 250:400] = 1
-    masks = {c.name: np.roll(blob, 10 * (i % 7), axis=1) for i, c in enumerate(views)}
-    return common.of_count(gaussians, count), views, masks
+    gaussians = common.of_count(gaussians, count)
+    return gaussians, views, masks_of_object(gaussians, views)
+
+
+def masks_of_object(gaussians: Gaussians, views: list[Camera]) -> dict[str, np.ndarray]:
+    """Masks of the fiftieth of the Gaussians that is nearest to the middle of the scene."""
+    means = np.asarray(gaussians.means)
+    distances = np.linalg.norm(means - np.median(means, axis=0), axis=1)
+    labels = distances <= np.quantile(distances, 0.02)
+    scored = Labelled(labels.astype(np.float32), labels)
+    with ViewThreads(len(labels)) as pool:
+        masks = pool.map(lambda view: view_mask(gaussians, view, scored, rule="share"), views)
+        return {view.name: mask for view, mask in zip(views, masks, strict=True)}
 
 
 def locate_seconds(count: int = 300_000, *, prior: bool = False) -> dict:

@@ -18,7 +18,7 @@ from gsc_jax.estimators import RobustEstimator
 from gsc_jax.estimators.robust.early_stopping import changed
 from gsc_jax.evidence.lifting import EvidenceOfViews, SparseEvidence, sparse, view_evidence
 from gsc_jax.render.projection import Splats, project
-from gsc_jax.render.tiles import TILE, bin_view, restricted
+from gsc_jax.render.tiles import TILE, bin_view
 from gsc_jax.scene import Camera, Gaussians
 from gsc_jax.scene.gaussians import filled_up, transparent_rows
 from gsc_jax.scene.parallel import ViewThreads, bounded_map
@@ -157,7 +157,7 @@ class CoarseToFine:
         camera, coarse = self._cameras[index], self._coarse[index][:3]
         splats = jax.block_until_ready(project(filled_to(self._bare.take(own), size), camera))
         chosen = np.pad(rows[own], (0, size - len(own)))
-        view = restricted(bin_view(splats, camera), chosen)
+        view = bin_view(splats, camera, touching=chosen)
         fine = sparse(view_evidence(view, self._masks[camera.name]))
         fine[0] = own[fine[0]]
         joined = np.concatenate([fine[:, rows[fine[0]]], coarse[:, ~rows[coarse[0]]]], axis=1)

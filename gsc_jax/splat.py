@@ -23,7 +23,7 @@ from gsc_jax.render.projection import NEAR, project
 from gsc_jax.render.reprojection import require_view_of
 from gsc_jax.render.spherical_harmonics import colors
 from gsc_jax.render.tiles import TILE, View, make_view
-from gsc_jax.render.walk import groups, in_parts, in_row_major_order, join_tiles, split_tiles, walk
+from gsc_jax.render.walk import contract, groups, image_of, in_parts, split_tiles, walk
 from gsc_jax.scene import Array, Camera, Gaussians
 
 
@@ -42,7 +42,7 @@ def composite(view: View, features: jax.Array) -> jax.Array:
     """
     _require_rows(view, features)
     parts = in_parts(_blended, view.of_any_size, features)
-    return join_tiles(in_row_major_order(parts), view.width, view.height)
+    return image_of(parts, view.width, view.height)
 
 
 @jax.jit
@@ -52,7 +52,7 @@ def _blended(view: View, features: jax.Array) -> tuple[jax.Array, jax.Array]:
 
     def visit(image, ids, weights, _):
         # XLA fuses this; an einsum would become a batch of tiny matrix products.
-        pairs = zip(weights.swapaxes(0, 1), padded[ids].swapaxes(0, 1), strict=True)
+        pairs = zip(weights, padded[ids].swapaxes(0, 1), strict=True)
         return image + sum(w[:, None] * f[..., None] for w, f in pairs)
 
     def blend(group):
@@ -82,8 +82,7 @@ def _lifted(view: View, tiled: jax.Array) -> jax.Array:
         values = tiled[group[0]]
 
         def visit(sums, ids, weights, _):
-            weighted = jnp.einsum("tcp,tdp->tcd", weights, values, precision="highest")
-            return sums.at[ids].add(weighted)
+            return sums.at[ids].add(contract(weights, values))
 
         return walk(view, group, visit, sums), None
 

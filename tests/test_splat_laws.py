@@ -50,7 +50,8 @@ def test_weights_are_exactly_zero_for_zero_opacity_and_never_negative():
     alphas = rng.uniform(1 / 255, 0.99, (512, 64, CHUNK)).astype(np.float32) ** 2
     alphas[rng.random(alphas.shape) < 0.5] = 0
     light = rng.random((512, 64)).astype(np.float32)
-    weights, behind = jax.jit(jax.vmap(jax.vmap(blend_pixel)))(light, alphas)
+    blended, behind = jax.jit(jax.vmap(jax.vmap(blend_pixel)))(light, alphas)
+    weights = np.stack(blended, axis=-1)
     assert (weights >= 0).all()
     assert (weights == 0)[alphas == 0].all()
     products = light[..., None] * np.cumprod(1.0 - alphas.astype(np.float64), axis=-1)

@@ -20,7 +20,7 @@ from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.evidence.storage import ArrayStore, ByView
 from gsc_jax.render.projection import NEAR
 from gsc_jax.render.spherical_harmonics import colors
-from gsc_jax.render.tiles import make_view, restricted
+from gsc_jax.render.tiles import make_view
 from gsc_jax.scene import Array, Camera, Gaussians
 from gsc_jax.scene.gaussians import transparent_rows
 from gsc_jax.scene.parallel import ViewThreads, bounded_map
@@ -177,11 +177,12 @@ def rendered_share(
     feature = require_finite("feature", jnp.asarray(feature, jnp.float32))
     if feature.shape != (len(gaussians),):
         raise ValueError(f"feature must have shape ({len(gaussians)},), got {feature.shape}")
-    view = make_view(gaussians, camera, near=near)
+    chosen = None
     if not isinstance(feature, Tracer):
         values = np.asarray(feature)
         # A mean exceeds the largest value by a rounding error only.
-        view = restricted(view, values != 0 if above is None else values > above - abs(above) / 100)
+        chosen = values != 0 if above is None else values > above - abs(above) / 100
+    view = make_view(gaussians, camera, near=near, touching=chosen)
     image, alpha = composite_with_alpha(view, feature[:, None])
     if not isinstance(image, Tracer):
         image, alpha = np.asarray(image), np.asarray(alpha)

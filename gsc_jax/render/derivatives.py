@@ -8,7 +8,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from gsc_jax.render.tiles import TILE, View
-from gsc_jax.render.walk import MAX_ALPHA, groups, in_parts, pixel_centers, split_tiles, walk
+from gsc_jax.render.walk import (
+    MAX_ALPHA,
+    contract,
+    groups,
+    in_parts,
+    pixel_centers,
+    split_tiles,
+    walk,
+)
 from gsc_jax.scene import Array
 
 
@@ -49,17 +57,17 @@ def _moments(view: View, values: tuple[jax.Array, jax.Array, jax.Array]) -> jax.
         g, origin = tiled[group[0]], pixel_centers(group[0], view.columns)[:, 0]
 
         def visit(carry, ids, weights, alphas):
-            sums, rest = carry
-            channels = zip(jnp.moveaxis(padded[ids], 2, 0), g.swapaxes(0, 1), strict=True)
-            values = weights * sum(c[..., None] * by[:, None] for c, by in channels)
-            behind = rest[:, None] - jnp.cumsum(values, axis=1)
-            slopes = values - behind * alphas / (1.0 - alphas)
-            slopes = jnp.where((weights > 0) & (alphas < MAX_ALPHA), slopes, 0.0)
+            (sums, rest), slopes = carry, []
+            for w, alpha, c in zip(weights, alphas, jnp.moveaxis(padded[ids], 1, 0), strict=True):
+                value = w * sum(c[:, d, None] * g[:, d] for d in range(g.shape[1]))
+                rest -= value
+                slope = value - rest * alpha / (1.0 - alpha)
+                slopes.append(jnp.where((w > 0) & (alpha < MAX_ALPHA), slope, 0.0))
+            slopes = jnp.stack(slopes, axis=1)
             moments = jnp.einsum("tcp,mp->tcm", slopes, monomials, precision="highest")
             moments = _about(moments, splats[ids, :2] - origin[:, None])
-            weighted = jnp.einsum("tcp,tdp->tcd", weights, g, precision="highest")
-            sums = sums.at[ids].add(jnp.concatenate([moments, weighted], axis=2))
-            return sums, behind[:, -1]
+            both = jnp.concatenate([moments, contract(weights, g)], axis=2)
+            return sums.at[ids].add(both), rest
 
         return walk(view, group, visit, (sums, rests[group[0]]))[0], None
 

@@ -9,7 +9,6 @@ counting sort: the lists are the transpose of a sparse matrix of splats and tile
 
 import contextlib
 import dataclasses
-import math
 from typing import NamedTuple
 
 import jax
@@ -28,9 +27,10 @@ TILE = 8
 MAX_INTERSECTIONS = 2**28
 """Most pairs of a splat and a tile that it touches in a view: more would fill the memory, and real
 scenes have a few per splat."""
-CPU_LOCKSTEPS, MIN_GROUPS = (128, 64, 32, 16), 8
-"""Tiles in a group on a CPU: the first of these sizes that gives at least `MIN_GROUPS` groups. The
-weights of 128 tiles for a chunk of splats fit into the L2 cache; more groups stop earlier."""
+CPU_LOCKSTEPS, MIN_GROUPS = (48, 24, 12), 8
+"""Tiles in a group on a CPU: the first of these sizes that gives at least `MIN_GROUPS` groups. XLA
+divides the steps of larger groups among its threads, which costs more than it gains, and takes
+three times as long to compile groups of 32."""
 
 
 @jax.tree_util.register_dataclass
@@ -73,7 +73,12 @@ class View:
 
 
 def make_view(
-    gaussians: Gaussians, camera: Camera, *, near: float = NEAR, lockstep: int | None = None
+    gaussians: Gaussians,
+    camera: Camera,
+    *,
+    near: float = NEAR,
+    lockstep: int | None = None,
+    touching: np.ndarray | None = None,
 ) -> View:
     """Project and bin a scene for a camera.
 
@@ -82,7 +87,9 @@ def make_view(
             lists depends on the data. Within `jax.jit`, those from outside become constants.
         camera: Pose, intrinsics and image size.
         near: Near plane in world units.
-        lockstep: Tiles in a group; default all on an accelerator, at most 128 on a CPU.
+        lockstep: Tiles in a group; default all on an accelerator, at most 48 on a CPU.
+        touching: Leave the lists of all tiles empty that none of these Gaussians, boolean (N,),
+            touches: features that are 0 for all others composite to the same image, in less time.
 
     Returns:
         The view. Its arrays have one of a few sizes, so that another camera seldom recompiles.
@@ -93,10 +100,17 @@ def make_view(
     """
     traced = any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((gaussians, camera, near)))
     with contextlib.nullcontext() if traced else jax.ensure_compile_time_eval():
-        return bin_view(project(gaussians, camera, near=near), camera, lockstep=lockstep)
+        splats = project(gaussians, camera, near=near)
+        return bin_view(splats, camera, lockstep=lockstep, touching=touching)
 
 
-def bin_view(splats: Splats, camera: Camera, *, lockstep: int | None = None) -> View:
+def bin_view(
+    splats: Splats,
+    camera: Camera,
+    *,
+    lockstep: int | None = None,
+    touching: np.ndarray | None = None,
+) -> View:
     """Bin projected Gaussians: the second half of `make_view`."""
     if lockstep is not None and not (isinstance(lockstep, int | np.integer) and lockstep >= 1):
         raise ValueError(f"lockstep must be a whole number above 0, got {lockstep}")
@@ -108,7 +122,7 @@ def bin_view(splats: Splats, camera: Camera, *, lockstep: int | None = None) -> 
             "reprojected(view, gaussians, camera) inside"
         )
     table = splat_table(splats)  # asynchronous: JAX computes it while NumPy bins
-    lists = bin_splats(known, camera.width, camera.height)
+    lists = bin_splats(known, camera.width, camera.height, touching)
     tiles = len(lists.counts)
     if lockstep is None:
         cpu = next((few for few in CPU_LOCKSTEPS if MIN_GROUPS * few <= tiles), CPU_LOCKSTEPS[-1])
@@ -125,19 +139,6 @@ def bin_view(splats: Splats, camera: Camera, *, lockstep: int | None = None) -> 
         lockstep=lockstep,
         **_longest_first(lists.starts, lists.counts, padded),
     )
-
-
-def restricted(view: View, rows: np.ndarray) -> View:
-    """Empty the lists of all tiles that none of these splats, boolean (N,), touches.
-
-    Features that are 0 for all other splats composite to the same image, in less time.
-    """
-    order = np.argsort(np.asarray(view.tiles), kind="stable")[: math.prod(view.grid)]
-    starts, counts = (np.asarray(x)[order] for x in (view.starts, view.counts))
-    listed = np.asarray(view.ids)[: np.max(starts + counts)]
-    touched = np.cumsum(np.append(False, np.asarray(rows).take(listed)), dtype=np.int32)
-    counts = np.where(touched[starts + counts] > touched[starts], counts, 0)
-    return dataclasses.replace(view, **_longest_first(starts, counts, len(view.tiles)))
 
 
 def _longest_first(starts: np.ndarray, counts: np.ndarray, padded: int) -> dict[str, jax.Array]:
@@ -173,8 +174,13 @@ class TileLists(NamedTuple):
     counts: np.ndarray
 
 
-def bin_splats(splats: Splats, width: int, height: int) -> TileLists:
-    """List the splats of each tile of an image, in depth order, tiles in row-major order."""
+def bin_splats(
+    splats: Splats, width: int, height: int, touching: np.ndarray | None = None
+) -> TileLists:
+    """List the splats of each tile of an image, in depth order, tiles in row-major order.
+
+    Only tiles that one of `touching`, boolean (N,), touches have a list; by default all of them.
+    """
     columns, rows = -(-width // TILE), -(-height // TILE)
     ellipses = _ellipses(splats)  # asynchronous: JAX computes them while NumPy sorts
     order = _front_to_back(np.asarray(splats.depths, np.float32), np.asarray(splats.visible))
@@ -183,11 +189,18 @@ def bin_splats(splats: Splats, width: int, height: int) -> TileLists:
     row, owner = _expanded(first, heights), np.repeat(np.arange(len(order)), heights)
     left, right = _cut(jax.tree.map(lambda column: column.take(owner), ellipses), row)
     first, widths = _tile_range(left, right, columns)
-    covered = _expanded(row * columns + first, widths)
+    first += row * columns
+    kept = np.full(rows * columns, touching is None)
+    if touching is not None:
+        chosen = touching.take(order).take(owner)
+        kept[_expanded(first[chosen], widths[chosen])] = True
+        before = np.append(np.int32(0), np.cumsum(kept, dtype=np.int32))
+        widths *= before.take(first + widths) > before.take(first)
+    covered = _expanded(first, widths)
     ends = _ends(widths).take(_ends(heights))  # of the tiles of each splat, over all of its rows
     ones, shape = np.ones(len(covered), np.int8), (len(order), rows * columns)
     by_tile = csr_array((ones, covered, ends), shape=shape).tocsc()  # the transpose
-    starts, counts = by_tile.indptr[:-1], np.diff(by_tile.indptr)
+    starts, counts = by_tile.indptr[:-1], np.diff(by_tile.indptr) * kept
     return TileLists(ids=order.take(by_tile.indices), starts=starts, counts=counts)
 
 

@@ -4,7 +4,7 @@ import dataclasses
 import functools
 import math
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
 
@@ -51,29 +51,32 @@ def alpha_at(splat: jax.Array, pixel: jax.Array) -> jax.Array:
     return jnp.where(log_alpha >= LOG_MIN_ALPHA, alpha, 0.0)
 
 
-def blend_pixel(transmittance: jax.Array, alphas: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Compute the weights (C,) of the next splats of a pixel, and the transmittance behind them.
+def blend_pixel(
+    transmittance: jax.Array, alphas: Sequence[jax.Array]
+) -> tuple[list[jax.Array], jax.Array]:
+    """Compute the weights of the next splats of a pixel, and the transmittance behind them.
 
-    w_i = T_i alpha_i, and T_{i+1} = T_i - w_i. A cumulative product is slower in XLA on a CPU.
+    w_i = T_i alpha_i, and T_{i+1} = T_i - w_i. Slower in XLA on a CPU: a cumulative product, and
+    an array of all weights, which XLA copies to change the order of its axes.
     """
     weights = []
     for alpha in alphas:
         weight = transmittance * alpha
         transmittance -= weight
         weights.append(jnp.where(transmittance >= MIN_TRANSMITTANCE, weight, 0.0))
-    return jnp.stack(weights), transmittance
+    return weights, transmittance
 
 
-# The axes are (tiles, splats, pixels): on a CPU, XLA vectorises over the last one, the longest.
-_alphas = jax.vmap(jax.vmap(jax.vmap(alpha_at, (None, 0)), (0, None)))
-_blend = jax.vmap(jax.vmap(blend_pixel, (0, 1), (1, 0)))
+# The axes are (tiles, pixels): on a CPU, XLA vectorises over the last one, the longer.
+_alphas = jax.vmap(jax.vmap(alpha_at, (None, 0)))
+_blend = jax.vmap(jax.vmap(blend_pixel))
 
 
 def walk(view: View, group: tuple[Array, ...], visit: Callable, carry: Any) -> Any:
     """Walk the lists of a group of tiles until all of them end or every pixel has stopped.
 
     Each chunk updates the carry by `visit(carry, ids, weights, alphas)` with ids (tiles, C), and
-    weights and alphas (tiles, C, pixels).
+    C weights and C alphas (tiles, pixels).
     """
     tiles, starts, counts = group
     pixels = pixel_centers(tiles, view.columns)
@@ -84,7 +87,8 @@ def walk(view: View, group: tuple[Array, ...], visit: Callable, carry: Any) -> A
         place = step * CHUNK + jnp.arange(CHUNK)
         listed = view.ids[starts[:, None] + place[None]]
         ids = jnp.where(place[None] < counts[:, None], listed, transparent)
-        alphas = _alphas(view.splats[ids], pixels)
+        splats = view.splats[ids]
+        alphas = [_alphas(splats[:, i], pixels) for i in range(CHUNK)]
         weights, transmittance = _blend(transmittance, alphas)
         # Without the barrier, XLA computes the weights again for each channel of `composite`.
         weights = jax.lax.optimization_barrier(weights)
@@ -97,6 +101,12 @@ def walk(view: View, group: tuple[Array, ...], visit: Callable, carry: Any) -> A
 
     start = (jnp.int32(0), jnp.ones(pixels.shape[:2]), carry)
     return jax.lax.while_loop(unfinished, advance, start)[2]
+
+
+def contract(weights: Sequence[jax.Array], values: jax.Array) -> jax.Array:
+    """Sums of values (tiles, D, pixels) over the pixels by each of C weights, (tiles, C, D)."""
+    sums = [jnp.einsum("tp,tdp->td", weight, values, precision="highest") for weight in weights]
+    return jnp.stack(sums, axis=1)
 
 
 def pixel_centers(tiles: Array, columns: Array) -> jax.Array:
@@ -133,6 +143,11 @@ def in_parts(function: Callable[[View, Any], Value], view: View, values: Any) ->
 
     with ThreadPoolExecutor(count) as pool:
         return list(pool.map(part, range(count)))
+
+
+def image_of(parts: list[tuple[jax.Array, jax.Array]], width: int, height: int) -> jax.Array:
+    """Join the tiles of all parts, as of `in_row_major_order`, into an image (height, width, D)."""
+    return join_tiles(in_row_major_order(parts), width, height)
 
 
 @jax.jit

@@ -11,7 +11,7 @@ import reference
 from strategies import blobs, camera, needles, random_scene
 
 from gsc_jax.render.projection import project
-from gsc_jax.render.tiles import TILE, bin_splats, make_view, restricted
+from gsc_jax.render.tiles import TILE, bin_splats, make_view
 from gsc_jax.scene import InputError
 from gsc_jax.splat import composite
 
@@ -31,7 +31,8 @@ SCENES = {
 def listed(lists, tiles: int, count: int) -> np.ndarray:
     """The lists as a table, (tiles, N) bool."""
     table = np.zeros((tiles, count), bool)
-    table[np.repeat(np.arange(tiles), lists.counts), lists.ids] = True
+    for tile, (start, length) in enumerate(zip(lists.starts, lists.counts, strict=True)):
+        table[tile, lists.ids[start : start + length]] = True
     return table
 
 
@@ -131,22 +132,33 @@ def test_a_view_without_visible_splats_has_empty_lists(places):
     assert len(lists.ids) == 0
 
 
-def test_a_restricted_view_gives_the_same_image_of_the_selected_splats():
+def test_tiles_of_selected_splats_give_the_same_image_of_them():
     gaussians, view = random_scene(300, seed=4), camera(65, 47)
     selected = np.zeros(300, bool)
     selected[::60] = True
     features = jnp.asarray(selected, jnp.float32)[:, None]
     whole = make_view(gaussians, view)
-    part = restricted(whole, selected)
+    part = make_view(gaussians, view, touching=selected)
     image = composite(whole, features)
     assert image.any(), "the selected splats are invisible"
     np.testing.assert_array_equal(composite(part, features), image)
     assert np.count_nonzero(part.counts) < np.count_nonzero(whole.counts)
-    assert not np.any(restricted(whole, np.zeros(300, bool)).counts)
-    np.testing.assert_array_equal(composite(restricted(part, selected), features), image)
-    everything = restricted(whole, np.ones(300, bool))
+    assert not np.any(make_view(gaussians, view, touching=np.zeros(300, bool)).counts)
+    everything = make_view(gaussians, view, touching=np.ones(300, bool))
     for leaf, other in zip(jax.tree.leaves(everything), jax.tree.leaves(whole), strict=True):
         np.testing.assert_array_equal(leaf, other)
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("scene", SCENES)
+def test_tiles_of_selected_splats_have_their_whole_lists(scene, size):
+    gaussians, view = SCENES[scene], camera(*size)
+    splats, selected = project(gaussians, view), np.arange(len(gaussians)) % 50 == 7
+    every, some = bin_splats(splats, *size), bin_splats(splats, *size, touching=selected)
+    shape = len(every.counts), len(gaussians)
+    table, part = listed(every, *shape), listed(some, *shape)
+    expected = table & np.any(table[:, selected], axis=1, keepdims=True)
+    np.testing.assert_array_equal(part, expected)
 
 
 def test_scenes_with_too_many_intersections_are_refused():

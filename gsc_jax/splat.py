@@ -23,7 +23,7 @@ from gsc_jax.render.projection import NEAR, project
 from gsc_jax.render.reprojection import require_view_of
 from gsc_jax.render.spherical_harmonics import colors
 from gsc_jax.render.tiles import TILE, View, make_view
-from gsc_jax.render.walk import groups, image_of, in_parts, split_tiles, summed, walk
+from gsc_jax.render.walk import groups, image_of, in_parts, lift, split_tiles, walk
 from gsc_jax.scene import Array, Camera, Gaussians
 
 
@@ -82,7 +82,7 @@ def _lifted(view: View, tiled: jax.Array) -> jax.Array:
         values = tiled[group[0]]
 
         def visit(sums, ids, weights, _):
-            return sums.at[ids].add(summed(weights, values))
+            return sums.at[ids].add(lift(weights, values))
 
         return walk(view, group, visit, sums), None
 

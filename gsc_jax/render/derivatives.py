@@ -8,15 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from gsc_jax.render.tiles import TILE, View
-from gsc_jax.render.walk import (
-    MAX_ALPHA,
-    groups,
-    in_parts,
-    pixel_centers,
-    split_tiles,
-    summed,
-    walk,
-)
+from gsc_jax.render.walk import MAX_ALPHA, groups, in_parts, lift, pixel_centers, split_tiles, walk
 from gsc_jax.scene import Array
 
 
@@ -66,7 +58,7 @@ def _moments(view: View, values: tuple[jax.Array, jax.Array, jax.Array]) -> jax.
             slopes = jnp.stack(slopes, axis=1)
             moments = jnp.einsum("tcp,mp->tcm", slopes, monomials, precision="highest")
             moments = _about(moments, splats[ids, :2] - origin[:, None])
-            both = jnp.concatenate([moments, summed(weights, g)], axis=2)
+            both = jnp.concatenate([moments, lift(weights, g)], axis=2)
             return sums.at[ids].add(both), rest
 
         return walk(view, group, visit, (sums, rests[group[0]]))[0], None

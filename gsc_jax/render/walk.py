@@ -103,7 +103,7 @@ def walk(view: View, group: tuple[Array, ...], visit: Callable, carry: Any) -> A
     return jax.lax.while_loop(unfinished, advance, start)[2]
 
 
-def summed(weights: Sequence[jax.Array], values: jax.Array) -> jax.Array:
+def lift(weights: Sequence[jax.Array], values: jax.Array) -> jax.Array:
     """Sums of values (tiles, D, pixels) over the pixels by each of C weights, (tiles, C, D)."""
     sums = [jnp.einsum("tp,tdp->td", weight, values, precision="highest") for weight in weights]
     return jnp.stack(sums, axis=1)

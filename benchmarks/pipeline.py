@@ -32,11 +32,10 @@ import tyro
 
 import gsc_jax
 from gsc_jax.estimators.gschecker import OFFICIAL, PAPER
-from gsc_jax.evidence.masks import Labelled, view_mask
 from gsc_jax.evidence.monitor import peak_memory_mib
 from gsc_jax.render.tiles import make_view
 from gsc_jax.scene import Camera, Gaussians
-from gsc_jax.scene.parallel import ViewThreads, compute_in_calling_thread
+from gsc_jax.scene.parallel import compute_in_calling_thread
 from gsc_jax.splat import accumulate
 
 Part = Literal[
@@ -83,18 +82,19 @@ def many_views(count: int = 300_000) -> tuple[Gaussians, list[Camera], dict[str,
         viewmat[:3, 3] += 0.01 * (index // len(cameras))
         views.append(dataclasses.replace(camera, viewmat=viewmat, name=f"{index:03d}"))
     gaussians = common.of_count(gaussians, count)
-    return gaussians, views, masks_of_object(gaussians, views)
-
-
-def masks_of_object(gaussians: Gaussians, views: list[Camera]) -> dict[str, np.ndarray]:
-    """Masks of the fiftieth of the Gaussians that is nearest to the middle of the scene."""
     means = np.asarray(gaussians.means)
-    distances = np.linalg.norm(means - np.median(means, axis=0), axis=1)
-    labels = distances <= np.quantile(distances, 0.02)
-    scored = Labelled(labels.astype(np.float32), labels)
-    with ViewThreads(len(labels)) as pool:
-        masks = pool.map(lambda view: view_mask(gaussians, view, scored, rule="share"), views)
-        return {view.name: mask for view, mask in zip(views, masks, strict=True)}
+    center = np.median(means, axis=0)
+    radius = np.quantile(np.linalg.norm(means - center, axis=1), 0.02)
+    return gaussians, views, {view.name: ball_mask(view, center, radius) for view in views}
+
+
+def ball_mask(view: Camera, center: np.ndarray, radius: float) -> np.ndarray:
+    """Mask (H, W) of a ball with a fiftieth of the Gaussians, in the middle of the scene."""
+    x, y, z = np.asarray(view.viewmat)[:3] @ np.append(center, 1)
+    K = np.asarray(view.K)
+    u, v = K[0, 0] * x / z + K[0, 2], K[1, 1] * y / z + K[1, 2]
+    rows, columns = np.mgrid[:HEIGHT, :WIDTH]
+    return np.hypot(columns - u, rows - v) <= K[0, 0] * radius / z
 
 
 def locate_seconds(count: int = 300_000, *, prior: bool = False) -> dict:

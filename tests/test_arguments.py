@@ -33,6 +33,8 @@ WRONG: dict[str, Callable[[], object]] = {
     "near": lambda: gsc_jax.make_view(SCENE, VIEW, near=NAN),
     "lockstep 0": lambda: gsc_jax.make_view(SCENE, VIEW, lockstep=0),
     "lockstep -1": lambda: gsc_jax.make_view(SCENE, VIEW, lockstep=-1),
+    "touching, of fewer": lambda: gsc_jax.make_view(SCENE, VIEW, touching=np.ones(COUNT - 1, bool)),
+    "touching, numbers": lambda: gsc_jax.make_view(SCENE, VIEW, touching=np.ones(COUNT)),
     "background": lambda: gsc_jax.render(SCENE, VIEW, background=(0.0, NAN, 0.0)),
     "background of two": lambda: gsc_jax.render(SCENE, VIEW, background=(0.0, 0.0)),  # type: ignore
     "features": lambda: gsc_jax.render_features(SCENE, VIEW, np.full((COUNT, 1), NAN)),

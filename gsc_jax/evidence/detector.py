@@ -151,8 +151,7 @@ def as_detector(detector: Any, cameras: Sequence[Camera] = ()) -> Detector:
     """Wrap a function of the image, or probability maps, as a detector.
 
     Probability maps are a mapping by camera name, or any iterable with one for each of the cameras;
-    more or fewer maps raise InputError. ValueError if it is neither, nor a detector, or a torch
-    module, whose input is unknown.
+    more or fewer maps raise InputError; anything else, also a torch module, raises ValueError.
     """
     if hasattr(detector, "select"):
         return detector

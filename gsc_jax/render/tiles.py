@@ -25,12 +25,11 @@ from gsc_jax.scene.pytree import STATIC
 TILE = 8
 """Side of a tile in pixels."""
 MAX_INTERSECTIONS = 2**28
-"""Most pairs of a splat and a tile that it touches in a view: more would fill the memory, and real
-scenes have a few per splat."""
+"""Most pairs of a splat and a tile in a view: more fill the memory; real scenes have a few each."""
 CPU_LOCKSTEPS, MIN_GROUPS = (48, 24, 12), 8
 """Tiles in a group on a CPU: the first of these sizes that gives at least `MIN_GROUPS` groups. XLA
-divides the steps of larger groups among its threads, which costs more than it gains, and takes
-three times as long to compile groups of 32."""
+divides the steps of larger groups among its threads, which costs more than it gains, and compiles
+groups of 32 for three times as long."""
 
 
 @jax.tree_util.register_dataclass
@@ -41,7 +40,7 @@ class View:
     Attributes:
         splats: Mean, whitening and log opacity of each Gaussian, and a transparent last row that
             pads the lists, shape (N + 1, 6).
-        ids: The lists of all tiles, concatenated and padded to a bucket size.
+        ids: The lists of the tiles, concatenated, and padding to one of few sizes.
         tiles: Tiles, longest list first, padded to a `bucket` of groups with their own number.
         starts: Start of the list of each of these tiles in `ids`.
         counts: Length of the list of each of these tiles.
@@ -88,15 +87,15 @@ def make_view(
         camera: Pose, intrinsics and image size.
         near: Near plane in world units.
         lockstep: Tiles in a group; default all on an accelerator, at most 48 on a CPU.
-        touching: Leave the lists of all tiles empty that none of these Gaussians, boolean (N,),
-            touches: features that are 0 for all others composite to the same image, in less time.
+        touching: Only tiles that one of these Gaussians, boolean (N,), touches keep their lists:
+            features that are 0 for all others composite to the same image, in less time.
 
     Returns:
         The view. Its arrays have one of a few sizes, so that another camera seldom recompiles.
 
     Raises:
         InputError: if there are more than 2^28 intersections of splats and tiles.
-        ValueError: if a shape, the near plane or `lockstep` is invalid.
+        ValueError: if a shape, the near plane, `lockstep` or `touching` is invalid.
     """
     traced = any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((gaussians, camera, near)))
     with contextlib.nullcontext() if traced else jax.ensure_compile_time_eval():
@@ -112,8 +111,9 @@ def bin_view(
     touching: np.ndarray | None = None,
 ) -> View:
     """Bin projected Gaussians: the second half of `make_view`."""
-    if lockstep is not None and not (isinstance(lockstep, int | np.integer) and lockstep >= 1):
-        raise ValueError(f"lockstep must be a whole number above 0, got {lockstep}")
+    touching = None if touching is None else np.asarray(touching)
+    if touching is not None and (touching.dtype, touching.shape) != (bool, splats.visible.shape):
+        raise ValueError(f"touching must be boolean, {splats.visible.shape}, got {touching!r:.60}")
     known = jax.lax.stop_gradient(splats)
     if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(known)):
         raise TypeError(
@@ -124,12 +124,9 @@ def bin_view(
     table = splat_table(splats)  # asynchronous: JAX computes it while NumPy bins
     lists = bin_splats(known, camera.width, camera.height, touching)
     tiles = len(lists.counts)
-    if lockstep is None:
-        cpu = next((few for few in CPU_LOCKSTEPS if MIN_GROUPS * few <= tiles), CPU_LOCKSTEPS[-1])
-        lockstep = cpu if jax.default_backend() == "cpu" else tiles
-    lockstep = min(lockstep, tiles)
+    lockstep = _tiles_in_group(lockstep, tiles)
     padded = bucket(-(-tiles // lockstep)) * lockstep
-    size = 4 ** max(6, -(-(len(lists.ids) - 1).bit_length() // 2))  # few different ones
+    size = 4 ** max(6, -(-(lists.total - 1).bit_length() // 2))  # few different ones
     return View(
         splats=table,
         ids=jnp.asarray(np.pad(lists.ids, (0, size - len(lists.ids)))),
@@ -139,6 +136,15 @@ def bin_view(
         lockstep=lockstep,
         **_longest_first(lists.starts, lists.counts, padded),
     )
+
+
+def _tiles_in_group(lockstep: int | None, tiles: int) -> int:
+    if lockstep is not None and not (isinstance(lockstep, int | np.integer) and lockstep >= 1):
+        raise ValueError(f"lockstep must be a whole number above 0, got {lockstep}")
+    if lockstep is None:
+        cpu = next((few for few in CPU_LOCKSTEPS if MIN_GROUPS * few <= tiles), CPU_LOCKSTEPS[-1])
+        lockstep = cpu if jax.default_backend() == "cpu" else tiles
+    return min(lockstep, tiles)
 
 
 def _longest_first(starts: np.ndarray, counts: np.ndarray, padded: int) -> dict[str, jax.Array]:
@@ -166,12 +172,14 @@ class TileLists(NamedTuple):
     """Splats of each tile, front to back, with ties in depth by index; all int32.
 
     `ids` are the splats of the M intersections, tile by tile, shape (M,); `starts` and `counts`
-    are the first intersection and the number of intersections of each tile, shapes (tiles,).
+    are the first intersection and the number of intersections of each tile, shapes (tiles,). If
+    only some tiles keep their lists, `ids` has fewer than the `total` of the image, and gaps.
     """
 
     ids: np.ndarray
     starts: np.ndarray
     counts: np.ndarray
+    total: int
 
 
 def bin_splats(
@@ -190,7 +198,7 @@ def bin_splats(
     left, right = _cut(jax.tree.map(lambda column: column.take(owner), ellipses), row)
     first, widths = _tile_range(left, right, columns)
     first += row * columns
-    kept = np.full(rows * columns, touching is None)
+    kept, total = np.full(rows * columns, touching is None), int(_ends(widths)[-1])
     if touching is not None:
         chosen = touching.take(order).take(owner)
         kept[_expanded(first[chosen], widths[chosen])] = True
@@ -201,7 +209,8 @@ def bin_splats(
     ones, shape = np.ones(len(covered), np.int8), (len(order), rows * columns)
     by_tile = csr_array((ones, covered, ends), shape=shape).tocsc()  # the transpose
     starts, counts = by_tile.indptr[:-1], np.diff(by_tile.indptr) * kept
-    return TileLists(ids=order.take(by_tile.indices), starts=starts, counts=counts)
+    ids = order.take(by_tile.indices)
+    return TileLists(ids=ids, starts=starts, counts=counts, total=total)
 
 
 def _front_to_back(depths: np.ndarray, visible: np.ndarray) -> np.ndarray:

@@ -268,15 +268,8 @@ def _ellipses(splats: Splats) -> Ellipses:
         for leaf in (splats.means, splats.covs, splats.whitening, splats.reach)
     )
     det_over_c = 0.5 / steep**2
-    return Ellipses(
-        x=x,
-        y=y,
-        bottom=jnp.sqrt(reach * c),
-        summit=b * jnp.sqrt(reach / a),
-        slope=b / c,
-        width=reach * det_over_c,
-        taper=det_over_c / c,
-    )
+    bottom, summit, width = jnp.sqrt(reach * c), b * jnp.sqrt(reach / a), reach * det_over_c
+    return Ellipses(x, y, bottom, summit, slope=b / c, width=width, taper=det_over_c / c)
 
 
 def _tile_range(low: np.ndarray, high: np.ndarray, tiles: int) -> tuple[np.ndarray, np.ndarray]:

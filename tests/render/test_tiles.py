@@ -149,6 +149,13 @@ def test_tiles_of_selected_splats_give_the_same_image_of_them():
         np.testing.assert_array_equal(leaf, other)
 
 
+def test_views_of_no_and_of_all_selected_splats_share_compiled_code():
+    gaussians, view = random_scene(3000), camera(160, 120)
+    whole = make_view(gaussians, view)
+    part = make_view(gaussians, view, touching=np.zeros(3000, bool))
+    assert part.ids.shape == whole.ids.shape > (4096,), "4096 is the smallest size"
+
+
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("scene", SCENES)
 def test_tiles_of_selected_splats_have_their_whole_lists(scene, size):

@@ -89,7 +89,7 @@ def many_views(count: int = 300_000) -> tuple[Gaussians, list[Camera], dict[str,
 
 
 def ball_mask(view: Camera, center: np.ndarray, radius: float) -> np.ndarray:
-    """Mask (H, W) of a ball with a fiftieth of the Gaussians, in the middle of the scene."""
+    """Mask (H, W) of a ball, given in world units; what lies before it is ignored."""
     x, y, z = np.asarray(view.viewmat)[:3] @ np.append(center, 1)
     K = np.asarray(view.K)
     u, v = K[0, 0] * x / z + K[0, 2], K[1, 1] * y / z + K[1, 2]

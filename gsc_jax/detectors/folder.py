@@ -39,7 +39,8 @@ class FolderDetector:
     def __init__(self, path: str | Path, *, max_bytes: int | None = None):
         """List the images of a folder and its subfolders; InputError if there are none.
 
-        They are read later. One that needs more than `max_bytes` (see `memory_limit`) is refused.
+        They are read later. One that then takes more than `max_bytes` of memory is refused; see
+        `memory_limit` for the default.
         """
         self.path = Path(path)
         self._limit = max_bytes

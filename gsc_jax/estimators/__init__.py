@@ -61,7 +61,8 @@ def estimate(
         Scores and labels.
 
     Raises:
-        ValueError: if the method is unknown, or it, Gaussians or cameras do not belong together.
+        ValueError: if the method is unknown or not that of the configuration, or the observation is
+            of other Gaussians or cameras.
     """
     estimator = configured(method, config)
     names = [camera.name for camera in observation.cameras]

@@ -23,7 +23,8 @@ MAX_BYTES_IN_MEMORY = 2**30
 class ArrayStore:
     """Arrays by kind and name of a view.
 
-    One store serves one run: one scene, its cameras, one detector. Threads may add each array once.
+    One store serves one run: one scene, its cameras, and one detector. Arrays may be added from
+    several threads, each only once.
 
     Args:
         folder: A folder for all arrays, created if missing; None for a temporary one (TMPDIR

@@ -54,7 +54,8 @@ def orbit_cameras(
         n cameras, NumPy float32.
 
     Raises:
-        InputError: if n, the size, the field of view or `up` is invalid, or nothing is rendered.
+        InputError: if n, the size, the field of view or the up direction is invalid, or no
+            Gaussian can be rendered.
     """
     up = np.asarray(up, np.float64)
     valid_up = up.shape == (3,) and 0 < np.linalg.norm(up) < np.inf

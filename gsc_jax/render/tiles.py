@@ -25,7 +25,7 @@ from gsc_jax.scene.pytree import STATIC
 TILE = 8
 """Side of a tile in pixels."""
 MAX_INTERSECTIONS = 2**28
-"""Most pairs of a splat and a tile in a view: more fill the memory; real scenes have a few each."""
+"""Most pairs of a splat and a tile that it touches in a view: more would not fit into memory."""
 CPU_LOCKSTEPS, MIN_GROUPS = (48, 24, 12), 8
 """Tiles in a group on a CPU: the first of these sizes that gives at least `MIN_GROUPS` groups. XLA
 divides the steps of larger groups among its threads, which costs more than it gains, and compiles

@@ -54,7 +54,7 @@ def alpha_at(splat: jax.Array, pixel: jax.Array) -> jax.Array:
 def blend_pixel(
     transmittance: jax.Array, alphas: Sequence[jax.Array]
 ) -> tuple[list[jax.Array], jax.Array]:
-    """Compute the weights of the next splats of a pixel, and the transmittance behind them.
+    """Compute the blending weights of the next splats of a pixel, and the transmittance behind.
 
     w_i = T_i alpha_i, and T_{i+1} = T_i - w_i. Slower in XLA on a CPU: a cumulative product, and
     an array of all weights, which XLA copies to change the order of its axes.
@@ -104,7 +104,7 @@ def walk(view: View, group: tuple[Array, ...], visit: Callable, carry: Any) -> A
 
 
 def lift(weights: Sequence[jax.Array], values: jax.Array) -> jax.Array:
-    """Sums of values (tiles, D, pixels) over the pixels by each of C weights, (tiles, C, D)."""
+    """Sum values (tiles, D, pixels) over each tile, once by each of C weights: (tiles, C, D)."""
     sums = [jnp.einsum("tp,tdp->td", weight, values, precision="highest") for weight in weights]
     return jnp.stack(sums, axis=1)
 

@@ -20,6 +20,7 @@ SCRIPTS = (
     "editing",
     "enough",
     "fusion",
+    "importance",
     "mask_checks",
     "native",
     "parsimony",

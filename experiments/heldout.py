@@ -19,7 +19,7 @@ from bank import BANK, FIRST_SEED, NO_EDIT, PROGRAM_SEEDS, BankCase, Kind, hosts
 from classifier_examples import stored_case
 from native import NativeArgs, classifier_without
 from runner import measured, start
-from tables import Frame, Row, pivot, where, write_section
+from tables import Frame, Row, markdown, pivot, where, write_section
 from tqdm import tqdm
 
 from gsc_jax.benchmark.metrics import auc, confusion
@@ -79,20 +79,46 @@ def measure(case: BankCase, evidence: ForensicEvidence, host: str, seed: int) ->
 
 def report(rows: Frame) -> str:
     """All tables."""
-    edited, authentic = rows[rows.edit != NO_EDIT], where(rows, edit=NO_EDIT)
-    tables = []
+    edited = rows[rows.edit != NO_EDIT]
+    tables = ["**Number of edited cases by family**", cases_by_family(edited)]
     for metric, name in (("auc", "AUC"), ("f1_gaussians", "F1")):
         for column in ("regime", "family", "export", "host"):
             tables.append(f"**{name} per Gaussian by {column}**, hosts that nothing was trained on")
             tables.append(pivot(edited, column, "edit", metric=metric, best=None))
+    return "\n\n".join([*tables, *scene_probabilities(edited, where(rows, edit=NO_EDIT))])
+
+
+def cases_by_family(edited: Frame) -> str:
+    """Tabulate the number of cases by family and kind of edit."""
+    lines = []
+    for name in edited.family.unique():
+        own = where(edited, family=name)
+        counts = [int((own.edit == kind).sum()) for kind in EDITS]
+        lines.append([name, *counts, sum(counts)])
+    return markdown(["family", *EDITS, "all"], lines)
+
+
+def scene_probabilities(edited: Frame, authentic: Frame) -> Iterator[str]:
+    """AUC of the scene probability, of all edits and by kind, and how many are called edited."""
     some, none = edited.verdict, authentic.verdict
-    ranks = auc(np.append(some, none), np.arange(len(some) + len(none)) < len(some))
-    tables.append(
-        f"Scene probability: AUC {ranks:.2f}; it is {ALARM} or more for "
+    yield (
+        f"Scene probability: AUC {separation(some, none):.2f}; it is {ALARM} or more for "
         f"{int((none >= ALARM).sum())} of {len(none)} authentic and "
         f"{int((some >= ALARM).sum())} of {len(some)} edited cases."
     )
-    return "\n\n".join(tables)
+    lines = []
+    for kind in EDITS:
+        own = where(edited, edit=kind).verdict
+        called = f"{int((own >= ALARM).sum())} of {len(own)}"
+        lines.append([kind, f"{separation(own, none):.2f}", called])
+    yield f"**AUC of the scene probability by edit**, against all {len(none)} authentic cases"
+    yield markdown(["edit", "AUC", f"probability of {ALARM} or more"], lines)
+
+
+def separation(edited: Frame, authentic: Frame) -> float:
+    """AUC of the scene probabilities of edited against those of authentic cases."""
+    values = np.append(edited, authentic)
+    return auc(values, np.arange(len(values)) < len(edited))
 
 
 def main(args: HeldoutArgs) -> None:

@@ -30,7 +30,7 @@ from bank import (
 )
 from classifier_examples import Examples, draw_case, make_examples
 from runner import Args, measured, start
-from tables import Row, pivot, where, write_section
+from tables import Frame, Row, markdown, pivot, where, write_section
 from tqdm import tqdm
 from train_classifier import train_network
 
@@ -50,6 +50,8 @@ ORDERS = 2
 """Random orders of the hosts, from which the sets are the first ones."""
 HELDOUT = FIRST_SEED + PROGRAM_SEEDS + 100
 """First seed of the cases that are scored."""
+COMPARED = (2, 4, 8)
+"""Numbers of hosts at which sets of more and of fewer scenes are compared."""
 Networks = Mapping[frozenset[str], Layers]
 """A network by the hosts that it was trained on."""
 
@@ -113,6 +115,49 @@ def rows_of(
         yield key | {"hosts": len(names), "names": " ".join(sorted(names)), "auc": score}
 
 
+def report(rows: Frame) -> str:
+    """All tables."""
+    scenes = [len({source_of(name) for name in names.split()}) for names in rows.names]
+    rows = rows.assign(scenes=scenes)
+    return "\n\n".join(
+        [
+            pivot(rows, "hosts", "method", metric="auc", best=None),
+            "**AUC by the number of different scenes among as many hosts** (cases, sets of hosts)",
+            by_scenes(rows),
+            "**Hosts of more against hosts of fewer scenes**, on the same cases",
+            more_against_fewer(rows),
+        ]
+    )
+
+
+def by_scenes(rows: Frame) -> str:
+    """Tabulate the mean AUC by number of hosts and of different scenes among them."""
+    numbers = range(1, int(rows.scenes.max()) + 1)
+    lines = []
+    for hosts_used in COMPARED:
+        groups = [where(rows, hosts=hosts_used, scenes=number) for number in numbers]
+        lines.append([hosts_used, *(_mean_with_counts(own) for own in groups)])
+    return markdown(["hosts", *(f"{k} scene{'s' * (k > 1)}" for k in numbers)], lines)
+
+
+def _mean_with_counts(rows: Frame) -> str:
+    sets = len(rows[["source", "names"]].drop_duplicates())
+    return f"{rows.auc.mean():.3f} ({len(rows)}, {sets})" if len(rows) else "-"
+
+
+def more_against_fewer(rows: Frame) -> str:
+    """Compare the two sets of a source that have as many hosts and not as many scenes."""
+    lines = []
+    for (hosts_used, source), own in rows.groupby(["hosts", "source"], sort=False):
+        scenes = sorted(own.scenes.unique())
+        if hosts_used in COMPARED and len(scenes) > 1:
+            fewer, more = (where(own, scenes=scenes[k]).auc.mean() for k in (0, -1))
+            pair = [f"{scenes[0]}: {fewer:.3f}", f"{scenes[-1]}: {more:.3f}"]
+            lines.append([hosts_used, source, *pair, f"{more - fewer:+.3f}"])
+    lines.sort(key=lambda line: line[0])
+    return markdown(["hosts", "scored on", "fewer scenes", "more scenes", "difference"], lines)
+
+
 def main(args: SourcesArgs) -> None:
     """Compute the features, train the networks, measure every case; write table and chart."""
     names, edits, first = tuple(hosts(args.bank, args.data)), EDITS, HELDOUT + args.first_seed
@@ -136,7 +181,7 @@ def main(args: SourcesArgs) -> None:
         yield from (rows_of(*job, networks, args) for job in tqdm(jobs, disable=None))
 
     rows = measured(args, "sources", per_case())
-    text = pivot(rows, "hosts", "method", metric="auc", best=None)
+    text = report(rows)
     print(text)
     write_section(args.out / "results.md", "sources", text)
     panels = {name: where(rows, source=name) for name in rows.source.unique()}

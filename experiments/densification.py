@@ -39,17 +39,22 @@ NOISY_OPACITY = 0.1
 
 
 def adapt_density(
-    scene: Gaussians, gradient: np.ndarray, extent: float, rng: np.random.Generator
+    scene: Gaussians,
+    gradient: np.ndarray,
+    extent: float,
+    rng: np.random.Generator,
+    among: np.ndarray | None = None,
 ) -> np.ndarray:
     """Prune, then clone and split into the free rows, in place; the rows that changed, (N,) bool.
 
     The gradient is the mean length by the centre, shape (N,). Where rows are scarce, the largest
-    gradients come first.
+    gradients come first. Rows that are not `among` (N,) bool, by default all, stay as they are.
     """
+    among = np.ones(len(scene), bool) if among is None else among
     opacities, scales = expit(scene.logit_opacities), np.exp(scene.log_scales).max(axis=1)
-    scene.logit_opacities[opacities < MIN_OPACITY] = -np.inf
-    free = np.flatnonzero(np.isneginf(scene.logit_opacities))
-    wanted = (gradient >= MIN_GRADIENT) & np.isfinite(scene.logit_opacities)
+    scene.logit_opacities[among & (opacities < MIN_OPACITY)] = -np.inf
+    free = np.flatnonzero(among & np.isneginf(scene.logit_opacities))
+    wanted = among & (gradient >= MIN_GRADIENT) & np.isfinite(scene.logit_opacities)
     chosen = np.argsort(-np.where(wanted, gradient, 0), kind="stable")
     chosen = chosen[: min(int(wanted.sum()), len(free))]
     new = free[: len(chosen)]

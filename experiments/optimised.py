@@ -2,13 +2,15 @@
 
 GaussianEditor (Chen et al. 2024) and DGE (Chen et al. 2024) edit the images of a scene with a 2D
 program, and train the Gaussians inside of a 3D mask on them, held near to what they were. Here the
-2D program is an image filter. Laundering trains the whole scene a little more on its own renders,
+2D program is an image filter. With densification, as both have it, Gaussians of the region are cloned,
+split and pruned. Laundering trains the whole scene a little more on its own renders,
 which blurs what an edit has left.
 """
 
 import dataclasses
 from collections.abc import Callable, Sequence
 
+import densification
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -21,10 +23,13 @@ from gsc_jax.benchmark.modification import changed_rows, with_rows
 from gsc_jax.render.projection import NEAR
 from gsc_jax.render.tiles import make_view
 from gsc_jax.scene import Camera, Gaussians
+from gsc_jax.scene.gaussians import concatenate
 from gsc_jax.splat import render
 
 PROGRESS = 0.5
 """Share of the steps of a capture after which it has the learning rates that are used here."""
+INTERVAL, DENSIFIED = 50, 0.6
+"""Steps between two densifications, and share of the steps after which there are none."""
 
 ImageEdit = Callable[[np.ndarray], np.ndarray]
 
@@ -37,13 +42,16 @@ class Refinement:
         steps: Number of steps, one view each.
         anchor: Share of the way back to its first value that each parameter takes in a step.
         near: Near plane in world units.
-        seed: Seed of the order of the views.
+        seed: Seed of the order of the views, and of where split Gaussians go.
+        densify: Whether Gaussians are cloned, split and pruned, as in a capture. Rows with an
+            opacity of 0 (a logit of minus infinity) are then free for new ones.
     """
 
     steps: int = 300
     anchor: float = 0.01
     near: float = NEAR
     seed: int = 0
+    densify: bool = False
 
 
 def refine(
@@ -54,26 +62,50 @@ def refine(
     rows: np.ndarray | None = None,
     options: Refinement | None = None,
 ) -> Gaussians:
-    """Optimise Gaussians for images with the loss of a capture, without densification.
+    """Optimise Gaussians for images with the loss of a capture.
 
     The images of V cameras are RGB in [0, 1], (V, H, W, 3). Only `rows` (N,) bool may change, by
-    default all; others, infinite opacities and infinite scales stay as they are, to the bit.
-    Returns NumPy float32; cameras and images that do not fit together raise ValueError.
+    default all; others, infinite opacities and infinite scales stay as they are, to the bit, except
+    for opacities of 0 where Gaussians are densified. Returns NumPy float32; cameras and images that do not fit together raise ValueError.
     """
     trainer.require_images(cameras, images)
     options, config = options or Refinement(), trainer.CaptureConfig(sh_degree=gaussians.sh_degree)
     first = jax.tree.map(jnp.asarray, gaussians)
-    mask = jnp.ones(len(first)) if rows is None else jnp.asarray(rows, jnp.float32)
-    rates = trainer.learning_rates(PROGRESS, trainer.camera_extent(cameras), config)
+    rows = np.ones(len(first), bool) if rows is None else rows
+    mask, extent = jnp.asarray(rows, jnp.float32), trainer.camera_extent(cameras)
+    rates = trainer.learning_rates(PROGRESS, extent, config)
     rates = jax.tree.map(lambda rate, leaf: rate * trainer.per_row(mask, leaf), rates, first)
     state, weights = trainer.started(first), (config.ssim_weight, 0.0)
-    order = trainer.passes(len(cameras), np.random.default_rng(options.seed))
-    for _, index in zip(range(options.steps), order, strict=False):
+    rng = np.random.default_rng(options.seed)
+    order = trainer.passes(len(cameras), rng)
+    for step, index in zip(range(options.steps), order, strict=False):
         camera = dataclasses.replace(cameras[index], name="")  # static: one compilation for all
         view = make_view(state.scene, camera, near=options.near)
         state = trainer.stepped(state, view, camera, images[index], rates, weights)
         state = state._replace(scene=_drawn_back(state.scene, first, mask, options.anchor))
+        due = (step + 1) % INTERVAL == 0 and step < DENSIFIED * options.steps
+        if options.densify and due:
+            state, first = _densified(state, first, rows, extent, rng)
     return jax.tree.map(np.asarray, state.scene)
+
+
+def _densified(
+    state: trainer.Training,
+    first: Gaussians,
+    rows: np.ndarray,
+    extent: float,
+    rng: np.random.Generator,
+) -> tuple[trainer.Training, Gaussians]:
+    """The state and the anchor after a densification; new Gaussians are their own anchor."""
+    scene = jax.tree.map(np.array, state.scene)
+    changed = densification.adapt_density(scene, trainer.mean_gradient(state), extent, rng, rows)
+    state = trainer.restarted(state, scene, changed, np.zeros_like(changed))
+    other = jnp.asarray(changed | (rows & np.isneginf(scene.logit_opacities)))
+
+    def anchor(old: jax.Array, new: np.ndarray) -> jax.Array:
+        return jnp.where(trainer.per_row(other, old), jnp.asarray(new), old)
+
+    return state, jax.tree.map(anchor, first, scene)
 
 
 @jax.jit
@@ -96,11 +128,17 @@ def laundered(
 
 
 def optimise_region(
-    gaussians: Gaussians, visibility: regions.Visibility, size: float, rng: np.random.Generator
+    gaussians: Gaussians,
+    visibility: regions.Visibility,
+    size: float,
+    rng: np.random.Generator,
+    *,
+    densify: bool = False,
 ) -> regions.ProposedEdit:
     """Edit the images of a random region, and optimise its Gaussians for them.
 
-    The arguments are those of `modify_region`; the views are those of the visibility.
+    The arguments are those of `modify_region`; the views are those of the visibility. With
+    `densify`, the region may have up to twice as many Gaussians afterwards, and loses some.
     """
     region = regions.draw_object(gaussians, visibility, size, rng)
     rows = np.isin(np.arange(len(gaussians)), region.rows)
@@ -110,12 +148,24 @@ def optimise_region(
     inside = np.stack(shares)[..., None]
     images = renders(gaussians, cameras, visibility.near)
     targets = images + inside * (np.stack([change(image) for image in images]) - images)
-    options = Refinement(near=visibility.near, seed=int(rng.integers(2**31)))
-    after = refine(gaussians, cameras, targets.astype(np.float32), rows=rows, options=options)
-    labels = rows & changed_rows(gaussians, after, region.radius)
+    seed = int(rng.integers(2**31))
+    options = Refinement(near=visibility.near, seed=seed, densify=densify)
+    before = _with_free_rows(gaussians, rows) if densify else gaussians
+    rows = np.append(rows, np.ones(len(before) - len(gaussians), bool))
+    after = refine(before, cameras, targets.astype(np.float32), rows=rows, options=options)
+    with np.errstate(invalid="ignore"):  # rows that were free and still are
+        labels = rows & changed_rows(before, after, region.radius)
     what = f"a region of {labels.sum():,} Gaussians, optimised for images that were {name}"
-    edited = with_rows(gaussians, labels, after.take(labels))
-    return regions.ProposedEdit(edited, labels, what, gaussians)
+    edited = with_rows(before, labels, after.take(labels))
+    kept = np.flatnonzero(~(rows & np.isneginf(edited.logit_opacities)) | (not densify))
+    return regions.ProposedEdit(edited.take(kept), labels[kept], what, gaussians)
+
+
+def _with_free_rows(gaussians: Gaussians, rows: np.ndarray) -> Gaussians:
+    """A scene with a transparent copy of each of these rows behind all others."""
+    copies = gaussians.take(np.flatnonzero(rows))
+    logits = np.full(len(copies), -np.inf, np.float32)
+    return concatenate([gaussians, dataclasses.replace(copies, logit_opacities=logits)])
 
 
 def renders(gaussians: Gaussians, cameras: Sequence[Camera], near: float) -> np.ndarray:

@@ -258,16 +258,30 @@ def _densified(
     config: CaptureConfig,
     rng: np.random.Generator,
 ) -> Training:
-    """The state after a densification; the moments of changed rows start again."""
+    """The state after a densification."""
     scene, lowered = jax.tree.map(np.array, training.scene), np.zeros(config.budget, bool)
     if config.strategy == "mcmc":
         changed = densification.relocate(scene, rng, _growth(scene, done, config))
     else:
-        gradient = np.asarray(training.gradient / jnp.maximum(training.seen, 1))
-        changed = densification.adapt_density(scene, gradient, extent, rng)
+        changed = densification.adapt_density(scene, mean_gradient(training), extent, rng)
         since = done - INTERVAL / config.iterations
         if config.reset_opacities and any(since < reset <= done for reset in RESETS):
             lowered = densification.reset_opacities(scene)
+    return restarted(training, scene, changed, lowered)
+
+
+def mean_gradient(training: Training) -> np.ndarray:
+    """Mean length of the gradient by the centre over the views that saw a Gaussian, (N,)."""
+    return np.asarray(training.gradient / jnp.maximum(training.seen, 1))
+
+
+def restarted(
+    training: Training, scene: Gaussians, changed: np.ndarray, lowered: np.ndarray
+) -> Training:
+    """The state with a densified scene; the moments of rows that changed start again.
+
+    So do those of the opacities that were lowered; both are masks of shape (N,).
+    """
     mu, nu = (
         _forgotten(moment, changed, lowered)
         for moment in (training.moments.mu, training.moments.nu)

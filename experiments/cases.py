@@ -22,7 +22,7 @@ from gsc_jax import load_cameras, load_ply
 from gsc_jax.benchmark.metrics import mean_over_tampered_views, truth_mask
 from gsc_jax.benchmark.scenes import make_object, make_room, room_cameras
 from gsc_jax.benchmark.simulate import REGIMES, Failures, decoy_labels, simulate
-from gsc_jax.benchmark.tamper import Edit, Tampered, tamper
+from gsc_jax.benchmark.tamper import Edit, Proposal, Tampered, tamper
 from gsc_jax.evidence.detector import Detector, fit_to_view
 from gsc_jax.render.projection import project_centers
 from gsc_jax.scene import Camera, Gaussians, InputError
@@ -115,10 +115,15 @@ def _real(name: str, data: Path) -> tuple[Gaussians, list[Camera], list[Camera]]
     return load_ply(data / "scenes" / f"{name}.ply"), others, heldout
 
 
+def siblings_of(scene: str) -> tuple[tuple[str, ...], list[str]]:
+    """Scenes of the group of this one, and those of them from which objects may be cut."""
+    siblings = next(some for some in (REAL, UNSEEN, (*MADE, QUICK)) if scene in some)
+    return siblings, [name for name in siblings if name not in (scene, QUICK)]
+
+
 def donor_name(scene: str, seed: int) -> str:
     """Name of the object to paste: by seed a scanned, a made or a cut one."""
-    siblings = next(some for some in (REAL, UNSEEN, (*MADE, QUICK)) if scene in some)
-    others = [name for name in siblings if name not in (scene, QUICK)]
+    siblings, others = siblings_of(scene)
     objects = {REAL: OBJECTS, UNSEEN: UNSEEN_OBJECTS}.get(siblings, ("vase",))
     choices = [*objects, f"{CUT}{others[seed % len(others)]}"]
     # Different scenes begin with different objects.
@@ -147,12 +152,16 @@ def pruned(gaussians: Gaussians, count: int) -> Gaussians:
 
 def make_case(name: str, edit: Edit, seed: int, data: Path = DATA) -> Case:
     """Edit a scene and render the truth in all views."""
-    scene, edited = load_scene(name, data), edit_scene(name, edit, seed, data)
+    return case_of(load_scene(name, data), edit_scene(name, edit, seed, data), seed)
+
+
+def case_of(scene: Scene, edited: Tampered, seed: int) -> Case:
+    """The case of an edited scene, with the truth in all views."""
     gaussians, labels = jax.tree.map(jnp.asarray, edited.gaussians), edited.labels
     decoy = _decoy(edited.gaussians, labels, seed)
     return Case(
         scene=scene,
-        edit=edit,
+        edit=edited.edit,
         seed=seed,
         gaussians=gaussians,
         labels=labels,
@@ -166,7 +175,11 @@ def make_case(name: str, edit: Edit, seed: int, data: Path = DATA) -> Case:
 def edit_scene(name: str, edit: Edit, seed: int, data: Path = DATA) -> Tampered:
     """Edit a scene with a seed, or with that plus 100, 200 or 300 if there is no place for it."""
     scene = load_scene(name, data)
-    change = donor(scene, seed, data) if edit == "incorporation" else edit
+    return tampered(scene, donor(scene, seed, data) if edit == "incorporation" else edit, seed)
+
+
+def tampered(scene: Scene, change: Edit | Gaussians | tuple[Edit, Proposal], seed: int) -> Tampered:
+    """Edit a scene as `tamper` does, with further seeds if there is no place for the edit."""
     for retry in range(RETRIES + 1):
         try:
             return tamper(scene.gaussians, scene.cameras, change, seed=seed + 100 * retry)

@@ -19,10 +19,17 @@ CANDIDATES = 5
 """Regions of which the thickest for its width is cut."""
 OBJECT_SIZE = 0.06
 """Median share of the pixels that a candidate covers."""
+ROUGH = 0.3
+"""Gaussians of the surroundings that a rough cut leaves on an object, relative to its own."""
 
 
 def cut_object(
-    gaussians: Gaussians, cameras: Sequence[Camera], *, near: float = NEAR, seed: int = 0
+    gaussians: Gaussians,
+    cameras: Sequence[Camera],
+    *,
+    near: float = NEAR,
+    seed: int = 0,
+    rough: bool = False,
 ) -> Gaussians:
     """Cut a compact object out of a scene.
 
@@ -31,6 +38,7 @@ def cut_object(
         cameras: Its cameras, mostly held level.
         near: Near plane in world units.
         seed: Seed of the random choice of candidates.
+        rough: Leave some of the surroundings on the object.
 
     Returns:
         The thickest of a few regions in view; upright with up = -y, its foot at y = 0 and centred
@@ -45,7 +53,12 @@ def cut_object(
         grow_region(gaussians, visibility, row, OBJECT_SIZE, contrast=OBJECT_CONTRAST)
         for row in draw_seeds(visibility, CANDIDATES, rng)
     ]
-    objects = [gaussians.take(np.sort(region.rows)) for region in regions]
+    # The ring is sorted by the distance to the object along the graph, as the rows are.
+    cuts = [
+        np.append(region.rows, region.ring[: int(rough * ROUGH * len(region.rows))])
+        for region in regions
+    ]
+    objects = [gaussians.take(np.sort(rows)) for rows in cuts]
     return set_upright(max(objects, key=_thickness), visibility.up)
 
 

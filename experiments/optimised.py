@@ -2,9 +2,9 @@
 
 GaussianEditor (Chen et al. 2024) and DGE (Chen et al. 2024) edit the images of a scene with a 2D
 program, and train the Gaussians inside of a 3D mask on them, held near to what they were. Here the
-2D program is an image filter. With densification, as both have it, Gaussians of the region are cloned,
-split and pruned. Laundering trains the whole scene a little more on its own renders,
-which blurs what an edit has left.
+2D program is an image filter. With densification, as both have it, Gaussians of the region are
+cloned, split and pruned. Laundering trains the whole scene a little more on its own renders, which
+blurs what an edit has left.
 """
 
 import dataclasses
@@ -66,7 +66,8 @@ def refine(
 
     The images of V cameras are RGB in [0, 1], (V, H, W, 3). Only `rows` (N,) bool may change, by
     default all; others, infinite opacities and infinite scales stay as they are, to the bit, except
-    for opacities of 0 where Gaussians are densified. Returns NumPy float32; cameras and images that do not fit together raise ValueError.
+    for opacities of 0 where Gaussians are densified. Returns NumPy float32; cameras and images that
+    do not fit together raise ValueError.
     """
     trainer.require_images(cameras, images)
     options, config = options or Refinement(), trainer.CaptureConfig(sh_degree=gaussians.sh_degree)

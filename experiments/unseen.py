@@ -3,22 +3,27 @@
     python experiments/unseen.py [--out docs] [--classifier .cues/bank.npz]
 
 The classifier is that of the package, or one that `train_classifier.py` left in a file; both were
-trained on other scenes and other objects.
-Edited scenes are exported, and authentic ones have a harmless history: an export, a crop, a motion.
+trained on other scenes and other objects. Edits are quick ones, those of the programs of editors,
+and laundered ones (`editors.py`). Edited scenes are exported, and authentic ones have a harmless
+history: an export, a crop, a motion.
 """
 
 import dataclasses
+import itertools
 from collections.abc import Iterator
 from pathlib import Path
+from typing import get_args
 
 import pandas as pd
 from cases import QUICK, UNSEEN, Case, make_case, without_edit
+from editors import Family, case_of_family
 from export import EXPORTERS, export
-from native import WITH_TRACES, rows_without_masks, stored
+from native import WITH_TRACES, WITHOUT_TRACES, rows_without_masks, stored
 from runner import Args, measured, start
 from tables import Frame, Row, markdown, pivot, where, write_section
 from tqdm import tqdm
 
+from gsc_jax.benchmark.metrics import auc
 from gsc_jax.forensics.classifier import Classifier, default_classifier
 from gsc_jax.forensics.evidence import forensic_evidence
 from gsc_jax.scene import InputError
@@ -28,6 +33,7 @@ LOSSY = ("8 bits", "spz", "compressed.ply", "palettes", "splat", "level of detai
 """Exporters of edited scenes: those that change most numbers."""
 ALARM = 0.5
 """Scene probability from which a scene is called edited."""
+FAMILIES: tuple[Family, ...] = get_args(Family)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -36,11 +42,13 @@ class UnseenArgs(Args):
 
     Attributes:
         classifier: File of another classifier than that of the package.
+        families: How the edits are made.
     """
 
     scenes: tuple[str, ...] = UNSEEN
     seeds: int = 2
     classifier: Path | None = None
+    families: tuple[Family, ...] = FAMILIES
 
 
 def exported(case: Case, exporter: str) -> Case:
@@ -51,12 +59,14 @@ def exported(case: Case, exporter: str) -> Case:
     return dataclasses.replace(case, gaussians=saved, labels=case.labels[rows])
 
 
-def rows_of(case: Case, exporter: str, classifier: Classifier) -> Iterator[Row]:
+def rows_of(
+    case: Case, exporter: str, classifier: Classifier, family: Family | None = None
+) -> Iterator[Row]:
     """Measure one case after one exporter."""
     own = exported(case, exporter)
     evidence = forensic_evidence(own.gaussians, classifier=classifier)
     for row in rows_without_masks(own, evidence):
-        yield {**row, "export": exporter}
+        yield {**row, "export": exporter, "family": family or "none"}
 
 
 def all_rows(args: UnseenArgs) -> Iterator[Iterator[Row]]:
@@ -64,33 +74,70 @@ def all_rows(args: UnseenArgs) -> Iterator[Iterator[Row]]:
     if not (args.quick or (args.data / "scenes").is_dir()):
         raise InputError(f"{args.data}: no scenes; this experiment needs the real ones")
     classifier = stored(args.classifier) if args.classifier else default_classifier()
-    for case in args.cases():
+    scenes = (QUICK,) if args.quick else args.scenes
+    seeds = range(args.first_seed, args.first_seed + (1 if args.quick else args.seeds))
+    jobs = list(itertools.product(scenes, args.families, args.edits, seeds))
+    for scene, family, edit, seed in tqdm(jobs, desc="cases", disable=None):
+        try:
+            case = case_of_family(scene, edit, seed, family, args.data)
+        except InputError as error:
+            tqdm.write(f"{scene}, {edit}, seed {seed}, {family}: {error}")
+            continue
         for exporter in (AS_EDITED, *LOSSY):
-            yield rows_of(case, exporter, classifier)
-    for scene in (QUICK,) if args.quick else args.scenes:
+            yield rows_of(case, exporter, classifier, family)
+    for scene in scenes:
         case = without_edit(make_case(scene, "modification", args.first_seed, args.data))
         for exporter in tqdm((AS_EDITED, *EXPORTERS), desc=f"authentic {scene}", disable=None):
             yield rows_of(case, exporter, classifier)
 
 
 def report(rows: Frame) -> str:
-    """All tables."""
+    """All tables; those by exporter are of the quick edits."""
     own = where(rows, method=WITH_TRACES)
     edited, authentic = own[own.edit != "none"], where(own, edit="none")
-    tables = [
-        table
-        for metric, name in (("auc", "AUC per Gaussian"), ("f1", "F1 per held-out view"))
-        for table in (
+    after = edited[edited.export != AS_EDITED]
+    lines = []
+    for metric, name in (("auc", "AUC per Gaussian"), ("f1", "F1 per held-out view")):
+        quick = _hardest_first(where(edited, family="quick"), metric)
+        lines += [
             f"**{name}, no 2D detector, unseen scenes and objects**, the hardest export first",
-            pivot(_hardest_first(edited, metric), "export", "edit", metric=metric, best=None),
-        )
-    ]
-    return "\n\n".join([*tables, *_probabilities(edited, authentic)])
+            pivot(quick, "export", "edit", metric=metric, best=None),
+            f"**{name} by family**, mean over the exports, without the files as edited",
+            pivot(after, "family", "edit", metric=metric, best=None),
+        ]
+    ranks = _scene_aucs(rows[rows.export != AS_EDITED])
+    return "\n\n".join([*lines, *ranks, *_probabilities(edited, authentic)])
 
 
 def _hardest_first(rows: Frame, metric: str) -> Frame:
     order = rows.groupby("export")[metric].mean().sort_values().index
     return pd.concat([where(rows, export=export) for export in order])
+
+
+def _scene_aucs(rows: Frame) -> Iterator[str]:
+    """AUC of the scene probability by family and edit, against the authentic scenes."""
+    yield (
+        "**AUC of the scene probability by family**, after an export; without traces in brackets; "
+        "the last column: called edited, of all cases"
+    )
+    edits = [edit for edit in rows.edit.unique() if edit != "none"]
+    lines = []
+    for family in [name for name in rows.family.unique() if name != "none"]:
+        some = where(where(rows, family=family), method=WITH_TRACES)
+        called = f"{int((some.verdict >= ALARM).sum())} of {len(some)}"
+        chosen = (rows.family == family) | (rows.edit == "none")
+        line = [_both_aucs(rows[chosen & rows.edit.isin([edit, "none"])]) for edit in edits]
+        lines.append([family, *line, _both_aucs(rows[chosen]), called])
+    yield markdown(["family", *edits, "all", "called edited"], lines)
+
+
+def _both_aucs(rows: Frame) -> str:
+    """AUC of the scene probability with traces, and in brackets without."""
+    both = []
+    for method in (WITH_TRACES, WITHOUT_TRACES):
+        own = where(rows, method=method)
+        both.append(auc(own.verdict.to_numpy(), (own.edit != "none").to_numpy()))
+    return "{:.2f} ({:.2f})".format(*both)
 
 
 def _probabilities(edited: Frame, authentic: Frame) -> Iterator[str]:

@@ -1,0 +1,48 @@
+"""Cases of edits as the programs of editors make them, of which the classifier learned nothing.
+
+Incorporations are harmonised, modifications are optimised for edited views with densification, and
+removals are inpainted. Laundered cases are the quick edits of cases.py, after which the whole scene
+was trained a little more. The bank has inpainted, laundered and, without densification, optimised
+cases of other scenes; nothing was trained on harmonised or densified ones.
+"""
+
+import dataclasses
+import functools
+from pathlib import Path
+from typing import Literal
+
+from cases import DATA, Case, case_of, edit_scene, load_scene, make_case, siblings_of, tampered
+from cut_object import cut_object
+from harmonised import incorporate
+from inpainted import inpaint_region
+from optimised import laundered, optimise_region
+
+from gsc_jax.benchmark.tamper import Edit, Proposal
+
+Family = Literal["quick", "editor", "laundered"]
+PROGRAMS: dict[Edit, Proposal] = {
+    "modification": functools.partial(optimise_region, densify=True),
+    "removal": inpaint_region,
+}
+
+
+def case_of_family(name: str, edit: Edit, seed: int, family: Family, data: Path = DATA) -> Case:
+    """Edit a scene quickly, by the program of an editor, or quickly with a laundering after it."""
+    if family == "quick":
+        return make_case(name, edit, seed, data)
+    scene = load_scene(name, data)
+    if family == "editor":
+        return case_of(scene, tampered(scene, (edit, program(name, edit, seed, data)), seed), seed)
+    edited = edit_scene(name, edit, seed, data)
+    trained = laundered(edited.gaussians, scene.cameras)
+    return case_of(scene, dataclasses.replace(edited, gaussians=trained), seed)
+
+
+def program(name: str, edit: Edit, seed: int, data: Path = DATA) -> Proposal:
+    """The program of a kind of edit; objects are cut from another scene, roughly for odd seeds."""
+    if edit != "incorporation":
+        return PROGRAMS[edit]
+    _, others = siblings_of(name)
+    source = load_scene(others[seed % len(others)], data)
+    donor = cut_object(source.gaussians, source.cameras, seed=seed, rough=bool(seed % 2))
+    return functools.partial(incorporate, donor=donor)

@@ -92,3 +92,38 @@ def test_a_region_is_optimised_for_edited_views(monkeypatch):
     change = np.abs(images - IMAGES).mean(axis=-1)
     assert change[inside].mean() > 0.05
     assert change[inside].mean() > 5 * change[~inside].mean()
+
+
+def test_densification_adds_and_prunes_in_the_region_only(monkeypatch):
+    monkeypatch.setattr(optimised, "IMAGE_EDITS", {"textured": IMAGE_EDITS["textured"]})
+    visibility = measure_visibility(ROOM, CAMERAS)
+    quick, edit = (
+        optimise_region(ROOM, visibility, 0.1, np.random.default_rng(1), densify=densify)
+        for densify in (False, True)
+    )
+    assert len(quick.gaussians) == len(ROOM) < len(edit.gaussians)
+    assert np.isfinite(edit.gaussians.logit_opacities).all()
+    added = len(edit.gaussians) - len(ROOM)
+    assert added <= quick.labels.sum() <= edit.labels.sum() <= 2 * quick.labels.sum()
+    # Authentic Gaussians are those of the room, to the bit and in their order.
+    rest = edit.gaussians.take(np.flatnonzero(~edit.labels))
+    whole = {row.tobytes() for row in np.concatenate(leaves(ROOM), axis=1)}
+    assert all(row.tobytes() in whole for row in np.concatenate(leaves(rest), axis=1))
+    for old, new in zip(leaves(ROOM), leaves(edit.gaussians), strict=True):
+        np.testing.assert_array_equal(old[: quick.labels.argmax()], new[: quick.labels.argmax()])
+
+
+def test_densification_leaves_other_rows_alone():
+    rows = np.arange(len(ROOM)) % 2 == 0
+    logits = np.array(ROOM.logit_opacities)
+    logits[:40], logits[40:42] = -np.inf, -9.0  # 40 free rows, of which half may be used
+    scene = dataclasses.replace(ROOM, logit_opacities=logits)
+    options = Refinement(steps=100, densify=True)
+    after = refine(scene, CAMERAS, 1 - IMAGES, rows=rows, options=options)
+    for old, new in zip(leaves(scene), leaves(after), strict=True):
+        np.testing.assert_array_equal(old[~rows], new[~rows])
+        assert not np.isnan(new).any()
+    assert np.isneginf(after.logit_opacities[1:40:2]).all()
+    assert np.isfinite(after.logit_opacities[:40:2]).any()
+    # Row 40 was pruned, and may have been used again for a new Gaussian.
+    assert np.isneginf(after.logit_opacities[40]) or after.logit_opacities[40] > -5

@@ -67,7 +67,7 @@ def main(options: Options) -> None:
         values = in_process(dataclasses.replace(options, alone=alone), platform, cores)
         rows.append({"platform": platform, "alone": alone, **values})
         print(described(rows[-1]), flush=True)
-    common.save("cores", rows)
+        common.save("cores", rows)
 
 
 def plans(cores: int) -> list[tuple[str, int, bool]]:

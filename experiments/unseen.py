@@ -42,12 +42,21 @@ class UnseenArgs(Args):
 
     Attributes:
         classifier: File of another classifier than that of the package.
-        families: How the edits are made.
     """
 
     scenes: tuple[str, ...] = UNSEEN
     seeds: int = 2
     classifier: Path | None = None
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class FamilyArgs(UnseenArgs):
+    """Arguments of this experiment.
+
+    Attributes:
+        families: How the edits are made.
+    """
+
     families: tuple[Family, ...] = FAMILIES
 
 
@@ -69,7 +78,7 @@ def rows_of(
         yield {**row, "export": exporter, "family": family or "none"}
 
 
-def all_rows(args: UnseenArgs) -> Iterator[Iterator[Row]]:
+def all_rows(args: FamilyArgs) -> Iterator[Iterator[Row]]:
     """Measure every edit after the lossy exporters, and every authentic scene after all."""
     if not (args.quick or (args.data / "scenes").is_dir()):
         raise InputError(f"{args.data}: no scenes; this experiment needs the real ones")
@@ -156,7 +165,7 @@ def _probabilities(edited: Frame, authentic: Frame) -> Iterator[str]:
     yield f"Called edited: {called['authentic']} with their histories, and {called['edited']}."
 
 
-def main(args: UnseenArgs) -> None:
+def main(args: FamilyArgs) -> None:
     """Measure every case; print and write the tables."""
     rows = measured(args, "unseen", all_rows(args))
     text = report(rows)

@@ -53,13 +53,10 @@ def cut_object(
         grow_region(gaussians, visibility, row, OBJECT_SIZE, contrast=OBJECT_CONTRAST)
         for row in draw_seeds(visibility, CANDIDATES, rng)
     ]
-    # The ring is sorted by the distance to the object along the graph, as the rows are.
-    cuts = [
-        np.append(region.rows, region.ring[: int(rough * ROUGH * len(region.rows))])
-        for region in regions
-    ]
-    objects = [gaussians.take(np.sort(rows)) for rows in cuts]
-    return set_upright(max(objects, key=_thickness), visibility.up)
+    best = max(regions, key=lambda region: _thickness(gaussians.take(np.sort(region.rows))))
+    # The ring is sorted by the distance to the seed along the graph, as the rows are.
+    more = best.ring[: int(rough * ROUGH * len(best.rows))]
+    return set_upright(gaussians.take(np.sort(np.append(best.rows, more))), visibility.up)
 
 
 def set_upright(donor: Gaussians, up: np.ndarray) -> Gaussians:

@@ -1,4 +1,4 @@
-"""Cases of edits as the programs of editors make them, of which the classifier learned nothing.
+"""Edits as the programs of editors make them, of scenes of which the classifier learned nothing.
 
 Incorporations are harmonised, modifications are optimised for edited views with densification, and
 removals are inpainted. Laundered cases are the quick edits of cases.py, after which the whole scene
@@ -11,6 +11,8 @@ import functools
 from pathlib import Path
 from typing import Literal
 
+import jax
+import jax.numpy as jnp
 from cases import DATA, Case, case_of, edit_scene, load_scene, make_case, siblings_of, tampered
 from cut_object import cut_object
 from harmonised import incorporate
@@ -38,11 +40,22 @@ def case_of_family(name: str, edit: Edit, seed: int, family: Family, data: Path 
     return case_of(scene, dataclasses.replace(edited, gaussians=trained), seed)
 
 
+def laundered_without_edit(authentic: Case) -> Case:
+    """The case of an authentic scene that was trained a little more: no edit."""
+    trained = laundered(authentic.scene.gaussians, authentic.scene.cameras)
+    return dataclasses.replace(authentic, gaussians=jax.tree.map(jnp.asarray, trained))
+
+
+def source_of_object(name: str, seed: int) -> str:
+    """Name of the scene from which the object of a harmonised incorporation is cut."""
+    _, others = siblings_of(name)
+    return others[seed % len(others)]
+
+
 def program(name: str, edit: Edit, seed: int, data: Path = DATA) -> Proposal:
     """The program of a kind of edit; objects are cut from another scene, roughly for odd seeds."""
     if edit != "incorporation":
         return PROGRAMS[edit]
-    _, others = siblings_of(name)
-    source = load_scene(others[seed % len(others)], data)
+    source = load_scene(source_of_object(name, seed), data)
     donor = cut_object(source.gaussians, source.cameras, seed=seed, rough=bool(seed % 2))
     return functools.partial(incorporate, donor=donor)

@@ -13,7 +13,6 @@ from scipy.spatial import ConvexHull, Delaunay, KDTree, QhullError
 
 from gsc_jax.benchmark import regions
 from gsc_jax.benchmark.incorporation import paste_object
-from gsc_jax.render.spherical_harmonics import Y0
 from gsc_jax.scene import Gaussians
 
 STRENGTH = (0.4, 0.9)
@@ -67,13 +66,13 @@ def lit_like(scene: Gaussians, labels: np.ndarray, place: np.ndarray, strength: 
     map is affine per channel, so that the harmonics scale with the contrast.
     """
     sh = np.array(scene.sh, np.float64)
-    own, other = sh[labels, 0], sh[place, 0]
+    opaque = labels & (np.asarray(scene.opacities) > 0.5)
+    own, other = sh[opaque if opaque.any() else labels, 0], sh[place, 0]
     ratio = (other.std(axis=0) + 1e-3) / (own.std(axis=0) + 1e-3)
     gain = np.clip(ratio, 1 / MAX_GAIN, MAX_GAIN) ** strength
     mean = own.mean(axis=0) + strength * (other.mean(axis=0) - own.mean(axis=0))
     sh[labels] *= gain
-    # Colours are 0.5 + Y0 h for the first harmonic h: those below 0 would be cut off.
-    sh[labels, 0] = np.maximum(sh[labels, 0] + mean - gain * own.mean(axis=0), -0.5 / Y0)
+    sh[labels, 0] += mean - gain * own.mean(axis=0)
     return dataclasses.replace(scene, sh=sh.astype(np.float32))
 
 

@@ -97,7 +97,7 @@ def _densified(
     extent: float,
     rng: np.random.Generator,
 ) -> tuple[trainer.Training, Gaussians]:
-    """The state and the anchor after a densification; new Gaussians are their own anchor."""
+    """The state and the anchor after a densification; what it changed or pruned is its own."""
     scene = jax.tree.map(np.array, state.scene)
     changed = densification.adapt_density(scene, trainer.mean_gradient(state), extent, rng, rows)
     state = trainer.restarted(state, scene, changed, np.zeros_like(changed))

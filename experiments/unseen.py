@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import get_args
 
 import pandas as pd
-from cases import QUICK, UNSEEN, Case, make_case, without_edit
-from editors import Family, case_of_family
+from cases import CUT, QUICK, UNSEEN, Case, make_case, without_edit
+from editors import Family, case_of_family, laundered_without_edit, source_of_object
 from export import EXPORTERS, export
 from native import WITH_TRACES, WITHOUT_TRACES, rows_without_masks, stored
 from runner import Args, measured, start
@@ -34,6 +34,8 @@ LOSSY = ("8 bits", "spz", "compressed.ply", "palettes", "splat", "level of detai
 ALARM = 0.5
 """Scene probability from which a scene is called edited."""
 FAMILIES: tuple[Family, ...] = get_args(Family)
+UNTOUCHED = "none"
+"""Family of authentic scenes that were not laundered."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -69,13 +71,15 @@ def exported(case: Case, exporter: str) -> Case:
 
 
 def rows_of(
-    case: Case, exporter: str, classifier: Classifier, family: Family | None = None
+    case: Case, exporter: str, classifier: Classifier, family: str = UNTOUCHED
 ) -> Iterator[Row]:
     """Measure one case after one exporter."""
     own = exported(case, exporter)
     evidence = forensic_evidence(own.gaussians, classifier=classifier)
     for row in rows_without_masks(own, evidence):
-        yield {**row, "export": exporter, "family": family or "none"}
+        if family == "editor" and case.edit == "incorporation":
+            row["donor"] = CUT + source_of_object(case.scene.name, case.seed)
+        yield {**row, "export": exporter, "family": family}
 
 
 def all_rows(args: FamilyArgs) -> Iterator[Iterator[Row]]:
@@ -98,20 +102,28 @@ def all_rows(args: FamilyArgs) -> Iterator[Iterator[Row]]:
         case = without_edit(make_case(scene, "modification", args.first_seed, args.data))
         for exporter in tqdm((AS_EDITED, *EXPORTERS), desc=f"authentic {scene}", disable=None):
             yield rows_of(case, exporter, classifier)
+        if "laundered" in args.families:
+            trained = laundered_without_edit(case)
+            for exporter in (AS_EDITED, *LOSSY):
+                yield rows_of(trained, exporter, classifier, "laundered")
 
 
 def report(rows: Frame) -> str:
-    """All tables; those by exporter are of the quick edits."""
+    """All tables; those by exporter are of the quick edits, or of the first family without them."""
     own = where(rows, method=WITH_TRACES)
     edited, authentic = own[own.edit != "none"], where(own, edit="none")
     after = edited[edited.export != AS_EDITED]
+    first = "quick" if "quick" in set(edited.family) else edited.family.iloc[0]
+    counts = edited.groupby(["family", "edit", "export"]).size()
     lines = []
     for metric, name in (("auc", "AUC per Gaussian"), ("f1", "F1 per held-out view")):
-        quick = _hardest_first(where(edited, family="quick"), metric)
+        by_export = _hardest_first(where(edited, family=first), metric)
         lines += [
-            f"**{name}, no 2D detector, unseen scenes and objects**, the hardest export first",
-            pivot(quick, "export", "edit", metric=metric, best=None),
-            f"**{name} by family**, mean over the exports, without the files as edited",
+            f"**{name}, no 2D detector, unseen scenes and objects**, {first} edits, the hardest "
+            "export first",
+            pivot(by_export, "export", "edit", metric=metric, best=None),
+            f"**{name} by family**, mean over the exports, without the files as edited; "
+            f"{counts.min()} to {counts.max()} edits in a cell",
             pivot(after, "family", "edit", metric=metric, best=None),
         ]
     ranks = _scene_aucs(rows[rows.export != AS_EDITED])
@@ -124,33 +136,47 @@ def _hardest_first(rows: Frame, metric: str) -> Frame:
 
 
 def _scene_aucs(rows: Frame) -> Iterator[str]:
-    """AUC of the scene probability by family and edit, against the authentic scenes."""
+    """AUC of the scene probability by family and edit, against authentic scenes like them.
+
+    Laundered edits are compared with laundered authentic scenes, others with untouched ones.
+    """
     yield (
-        "**AUC of the scene probability by family**, after an export; without traces in brackets; "
-        "the last column: called edited, of all cases"
+        "**AUC of the scene probability by family**, after an export, against exports of the "
+        "authentic scenes, for laundered edits laundered ones; without traces in brackets; the "
+        f"last columns: called edited ({ALARM} or more)"
     )
     edits = [edit for edit in rows.edit.unique() if edit != "none"]
     lines = []
-    for family in [name for name in rows.family.unique() if name != "none"]:
-        some = where(where(rows, family=family), method=WITH_TRACES)
-        called = f"{int((some.verdict >= ALARM).sum())} of {len(some)}"
-        chosen = (rows.family == family) | (rows.edit == "none")
-        line = [_both_aucs(rows[chosen & rows.edit.isin([edit, "none"])]) for edit in edits]
-        lines.append([family, *line, _both_aucs(rows[chosen]), called])
-    yield markdown(["family", *edits, "all", "called edited"], lines)
+    for family in rows[rows.edit != "none"].family.unique():
+        authentic = "laundered" if family == "laundered" else UNTOUCHED
+        some = where(rows, family=family)
+        pairs = some[some.edit != "none"], where(rows, family=authentic, edit="none")
+        both = pd.concat(pairs)
+        line = [_both_aucs(both[both.edit.isin([edit, "none"])]) for edit in edits]
+        lines.append([family, *line, _both_aucs(both), *map(_called, pairs)])
+    yield markdown(["family", *edits, "all", "edited", "authentic"], lines)
+
+
+def _called(rows: Frame) -> str:
+    """How many are called edited, of all."""
+    own = where(rows, method=WITH_TRACES)
+    return f"{int((own.verdict >= ALARM).sum())} of {len(own)}"
 
 
 def _both_aucs(rows: Frame) -> str:
-    """AUC of the scene probability with traces, and in brackets without."""
+    """AUC of the scene probability with traces, and in brackets without; - if there is none."""
     both = []
     for method in (WITH_TRACES, WITHOUT_TRACES):
         own = where(rows, method=method)
+        if not {"none"} < set(own.edit):
+            return "-"
         both.append(auc(own.verdict.to_numpy(), (own.edit != "none").to_numpy()))
     return "{:.2f} ({:.2f})".format(*both)
 
 
 def _probabilities(edited: Frame, authentic: Frame) -> Iterator[str]:
     """Scene probabilities of authentic scenes by history, and how many are called edited."""
+    authentic = where(authentic, family=UNTOUCHED)
     scenes = list(authentic.scene.unique())
     lines = []
     for history in authentic.export.unique():

@@ -123,7 +123,7 @@ def report(rows: Frame) -> str:
             "export first",
             pivot(by_export, "export", "edit", metric=metric, best=None),
             f"**{name} by family**, mean over the exports, without the files as edited; "
-            f"{counts.min()} to {counts.max()} edits in a cell",
+            f"at least {counts.min()} edits of each kind and export",
             pivot(after, "family", "edit", metric=metric, best=None),
         ]
     ranks = _scene_aucs(rows[rows.export != AS_EDITED])
@@ -188,7 +188,7 @@ def _probabilities(edited: Frame, authentic: Frame) -> Iterator[str]:
         name: f"{int((some.verdict >= ALARM).sum())} of {len(some)} {name} scenes"
         for name, some in (("authentic", authentic), ("edited", edited))
     }
-    yield f"Called edited: {called['authentic']} with their histories, and {called['edited']}."
+    yield f"Called edited: {called['authentic']} with these histories, and {called['edited']}."
 
 
 def main(args: FamilyArgs) -> None:

@@ -41,8 +41,7 @@ def composite(view: View, features: jax.Array) -> jax.Array:
     where the gradient is `accumulate`, and to `view.splats`.
     """
     _require_rows(view, features)
-    parts = in_parts(_blended, view.of_any_size, features)
-    return image_of(parts, view.width, view.height)
+    return image_of(in_parts(_blended, view.of_any_size, features), view.width, view.height)
 
 
 @jax.jit

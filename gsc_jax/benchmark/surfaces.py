@@ -133,8 +133,7 @@ def revolve(profile: np.ndarray, foot: Vector, *, axis: int = 1) -> Surface:
 def ellipsoid(center: Vector, radius: float, height: float) -> Surface:
     """Ellipsoid with a vertical axis, `height` from pole to pole."""
     angle = np.linspace(-np.pi / 2, np.pi / 2, 65)
-    profile = np.stack([radius * np.cos(angle), height / 2 * np.sin(angle)], axis=-1)
-    return revolve(profile, center)
+    return revolve(np.stack([radius * np.cos(angle), height / 2 * np.sin(angle)], axis=-1), center)
 
 
 def cylinder(foot: Vector, bottom: float, top: float, height: float) -> Surface:

@@ -92,8 +92,7 @@ def tamper(
     for _ in range(ATTEMPTS):
         try:
             proposed = make(gaussians, visibility, size, rng)
-            visible = _checked(proposed, cameras, visibility, size)
-            return _shuffled(proposed, kind, visible, rng)
+            return _shuffled(proposed, kind, _checked(proposed, cameras, visibility, size), rng)
         except EditRejected as reason:
             reasons.append(str(reason))
     raise InputError(

@@ -27,6 +27,9 @@ at most 0.56 in authentic objects with one codebook, 0.77 to 0.98 in edits."""
 MAX_SINGLE_SHARE = 0.3
 """Share of unique values in a region above which its other values are equal by chance: 0.40 in a
 scene where an exporter had merged similar Gaussians, at most 0.04 in pasted objects (by hand)."""
+MAX_EQUAL_SHARE = 0.05
+"""Share of the other values that a neighbour has, too, above which small chunks have levels each:
+at least 0.08 in scenes from a compressed.ply, at most 0.03 in others (by hand)."""
 SCENE_FACTOR = 2.0
 """Weight of distances to the levels of the scene, since those of an edit scatter towards them."""
 MAX_BLOCK_SHARE = 0.2
@@ -72,7 +75,9 @@ def off_levels(column: np.ndarray, neighbours: np.ndarray) -> tuple[np.ndarray, 
         return nothing, nothing
     if np.median(counts[codes]) <= MAX_FREE_REPEATS:
         once = (counts == 1)[codes[neighbours[region_scores(shared, neighbours) > 0.5]]]
-        return nothing if once.any() and once.mean() > MAX_SINGLE_SHARE else shared, nothing
+        merged = once.any() and once.mean() > MAX_SINGLE_SHARE
+        equal = (codes[neighbours] == codes[:, None]).any(axis=1)[~shared].mean()
+        return nothing if merged or equal > MAX_EQUAL_SHARE else shared, nothing
     if shared.mean() < 0.5:  # neither quantised, with some values pasted, nor free
         return nothing, nothing
     level = np.where(shared, np.cumsum(common)[codes] - 1, -1)
@@ -151,8 +156,7 @@ def _farthest_points(places: np.ndarray, weights: np.ndarray) -> np.ndarray:
     order = np.argsort(places[:, 0])
     middle = np.searchsorted(np.cumsum(weights[order]), weights.sum() / 2)
     chosen = [int(order[middle])]
-    # Levels of few Gaussians have unreliable places.
-    frequent = weights >= 8 * MIN_REPEATS
+    frequent = weights >= 8 * MIN_REPEATS  # levels of few Gaussians have unreliable places
     for _ in range(places.shape[1]):
         gaps = np.linalg.norm(places[:, None] - places[chosen], axis=2).min(axis=1)
         chosen.append(int(np.argmax(np.where(frequent, gaps, -1))))

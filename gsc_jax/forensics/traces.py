@@ -22,8 +22,9 @@ MAX_REGION_SHARE = 0.5
 """Share of the scene above which marks are the rule and not the exception."""
 MAX_OUTSIDE_RATE = 0.05
 """Rate of marks outside of the regions above which the scene itself produces them."""
-MAX_NEGATIVE_RATE = 0.005
-"""The same for w < 0; scenes that follow w >= 0 only in part have a rate of 0.03."""
+MAX_QUATERNION_RATE = 0.005
+"""The same for w < 0, 0.03 in scenes that follow w >= 0 in part, and for a length of 1, 0.02 in
+scenes that were normalised and then trained a little more."""
 MIN_MAGNITUDE_RATIO = 0.7
 """Least median |w| of quaternions with w < 0 in the regions, divided by that of the others there.
 Where a scene was turned after training, w is close to 0 where it changes its sign: the ratio was at
@@ -129,10 +130,12 @@ def quaternion_convention(gaussians: Gaussians, neighbours: np.ndarray) -> Trace
     quats = np.asarray(gaussians.quats, np.float64)
     norms = np.linalg.norm(quats, axis=1)
     unit = np.abs(norms - 1) < UNIT_TOLERANCE
-    lengths = region_scores(unit ^ (unit.sum() > 0.5 * len(unit)), neighbours)
+    # Training starts with no rotation, and leaves it at that where no view shows the Gaussian.
+    odd = (unit ^ (unit.sum() > 0.5 * len(unit))) & quats[:, 1:].any(axis=1)
+    lengths = region_scores(odd, neighbours, max_outside=MAX_QUATERNION_RATE)
     # Half of the quaternions of a part without the sign convention satisfy it by chance.
     negative = quats[:, 0] < 0
-    signs = region_scores(negative, neighbours, min_share=0.3, max_outside=MAX_NEGATIVE_RATE)
+    signs = region_scores(negative, neighbours, min_share=0.3, max_outside=MAX_QUATERNION_RATE)
     inside, size = signs > 0.5, np.abs(quats[:, 0]) / np.where(norms > 0, norms, 1)
     below, above = size[inside & negative], size[inside & ~negative]
     if len(below) and len(above) and np.median(below) < MIN_MAGNITUDE_RATIO * np.median(above):

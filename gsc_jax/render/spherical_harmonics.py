@@ -97,8 +97,7 @@ def rotate(sh: Array, rotation: Array) -> jax.Array:
     old = basis(jnp.asarray(directions @ np.asarray(rotation), jnp.float32), degree)
     new = basis(jnp.asarray(directions, jnp.float32), degree)
     mixing = np.linalg.lstsq(np.asarray(new, np.float64), np.asarray(old, np.float64))[0]
-    rotated = np.einsum("kl,nlc->nkc", mixing, np.asarray(sh, np.float64))
-    return jnp.asarray(rotated, jnp.float32)
+    return jnp.asarray(np.einsum("kl,nlc->nkc", mixing, np.asarray(sh, np.float64)), jnp.float32)
 
 
 def even_directions(count: int) -> np.ndarray:

@@ -82,8 +82,7 @@ class Gaussians:
 def with_degree(gaussians: Gaussians, degree: int) -> Gaussians:
     """Truncate or zero-pad spherical harmonics to a degree."""
     bands, sh = (degree + 1) ** 2, np.asarray(gaussians.sh)[:, : (degree + 1) ** 2]
-    padded = np.pad(sh, ((0, 0), (0, bands - sh.shape[1]), (0, 0)))
-    return dataclasses.replace(gaussians, sh=padded)
+    return dataclasses.replace(gaussians, sh=np.pad(sh, ((0, 0), (0, bands - sh.shape[1]), (0, 0))))
 
 
 def concatenate(scenes: Sequence[Gaussians]) -> Gaussians:

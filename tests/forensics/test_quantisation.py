@@ -1,5 +1,7 @@
 """Quantisation: values off the levels of a scene, or on levels of their own."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from data import load_tampered, needs_data
@@ -15,6 +17,7 @@ from forensics_cases import (
 
 from gsc_jax.forensics.quantisation import off_levels, quantisation
 from gsc_jax.scene import Gaussians
+from gsc_jax.scene.neighbours import order_of_leaves
 
 BETWEEN = np.float32(0.37 / 16)
 """Offset from the levels of the quantised room to values between them."""
@@ -50,6 +53,21 @@ def test_a_part_of_equal_colours_among_others_is_none_with_levels(others, found)
     sh[equal, 0] = rng.integers(0, 20, (equal.sum(), 1)) / np.float32(20)
     trace = detected(quantisation, changed(room(), part, sh=sh))
     assert trace.found == found
+
+
+@pytest.mark.parametrize(("size", "found"), [(256, False), (20_000, True)])
+def test_levels_of_small_chunks_are_the_format_and_those_of_a_part_are_none(size, found):
+    """A compressed.ply has 256 levels between the extremes of each of its chunks."""
+    host, rng = room(20_000), np.random.default_rng(0)
+    order, sh, part = order_of_leaves(host.means), np.array(host.sh), central_rows(host, 1500)
+    sh[:, 0] = rng.normal(size=(len(sh), 3))
+    sh[part, 0] = 0.1 * rng.integers(-9, 9, (len(part), 3))
+    sh[part[::50], 0] = 1
+    for start in range(0, len(order), size):
+        rows = order[start : start + size] if size == 256 else part
+        low, high = sh[rows, 0].min(axis=0), sh[rows, 0].max(axis=0)
+        sh[rows, 0] = low + np.round((sh[rows, 0] - low) / (high - low) * 255) * (high - low) / 255
+    assert detected(quantisation, dataclasses.replace(host, sh=sh)).found == found
 
 
 def test_second_set_of_levels_between_those_of_the_scene_is_marked():

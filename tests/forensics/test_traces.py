@@ -71,6 +71,17 @@ def test_quaternions_of_another_length_are_marked():
     assert_matches(detected(quaternion_convention, longer), LABELS, precision=0.99)
 
 
+@pytest.mark.parametrize("rotation", ["none", "kept"])
+def test_what_training_did_not_move_is_no_part_with_another_length(rotation):
+    """Where no view shows a part, it keeps the rotation it started with, or a normalised one."""
+    unit, rng = np.asarray(room().rotations), np.random.default_rng(0)
+    deviation = {"none": 0.1, "kept": 0.004}[rotation]
+    lengths = 1 + deviation * rng.normal(size=(len(unit), 1))
+    kept = unit[PART] if rotation == "kept" else np.float32([1, 0, 0, 0])
+    trained = dataclasses.replace(room(), quats=(unit * lengths).astype(np.float32))
+    assert not detected(quaternion_convention, changed(trained, PART, quats=kept)).found
+
+
 def test_quaternions_of_another_sign_are_marked():
     unit = np.asarray(room().rotations)
     positive = dataclasses.replace(room(), quats=unit * np.where(unit[:, :1] < 0, -1, 1))

@@ -116,7 +116,7 @@ def _real(name: str, data: Path) -> tuple[Gaussians, list[Camera], list[Camera]]
 
 
 def siblings_of(scene: str) -> tuple[tuple[str, ...], list[str]]:
-    """Scenes of the group of this one, and those of them from which objects may be cut."""
+    """Real, unseen or made scenes, as this one is, and those from which objects may be cut."""
     siblings = next(some for some in (REAL, UNSEEN, (*MADE, QUICK)) if scene in some)
     return siblings, [name for name in siblings if name not in (scene, QUICK)]
 

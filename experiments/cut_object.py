@@ -54,7 +54,7 @@ def cut_object(
         for row in draw_seeds(visibility, CANDIDATES, rng)
     ]
     best = max(regions, key=lambda region: _thickness(gaussians.take(np.sort(region.rows))))
-    # The ring is sorted by the distance to the seed along the graph, as the rows are.
+    # The ring begins with the Gaussians nearest to the seed of the region.
     more = best.ring[: int(rough * ROUGH * len(best.rows))]
     return set_upright(gaussians.take(np.sort(np.append(best.rows, more))), visibility.up)
 

@@ -18,9 +18,9 @@ from gsc_jax.scene import Gaussians
 STRENGTH = (0.4, 0.9)
 """Share of the way to the colours of the place that an object goes, at least and at most."""
 MAX_GAIN = 1.6
-"""Largest factor of the contrast of an object, and of its inverse."""
+"""The contrast of an object is multiplied by at most this number, and by at least its inverse."""
 PLACE_REACH = 2.0
-"""The place is what lies within this multiple of the radius of the object."""
+"""Distance from the middle of an object, in its radii, up to which the scene is its place."""
 GROUND_DEPTH = 0.02
 """Share of the height of an object that may lie below the ground."""
 CORE = 0.9
@@ -34,7 +34,7 @@ def incorporate(
     rng: np.random.Generator,
     donor: Gaussians,
 ) -> regions.ProposedEdit:
-    """Paste an object, and adapt its light and its contact to the place.
+    """Paste an object, light it like its place, and clear the contact.
 
     The arguments are those of `paste_object`.
     """
@@ -60,10 +60,11 @@ def place_of(scene: Gaussians, labels: np.ndarray) -> np.ndarray:
 
 
 def lit_like(scene: Gaussians, labels: np.ndarray, place: np.ndarray, strength: float) -> Gaussians:
-    """Move mean and spread of the colours of an object towards those of its place.
+    """Bring mean and spread of the colours of an object nearer to those of its place.
 
-    `labels` and `place` are masks of shape (N,), `strength` is the share of the way, in [0, 1]. The
-    map is affine per channel, so that the harmonics scale with the contrast.
+    `labels` (N,) bool mark the object and `place` (N,) bool its place. With a `strength` of 0 the
+    colours stay as they are, with 1 they have the mean of the place. The map is affine in each
+    channel: the higher harmonics are multiplied as the contrast is.
     """
     sh = np.array(scene.sh, np.float64)
     opaque = labels & (np.asarray(scene.opacities) > 0.5)
@@ -77,11 +78,11 @@ def lit_like(scene: Gaussians, labels: np.ndarray, place: np.ndarray, strength: 
 
 
 def contact(scene: Gaussians, labels: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """What to delete where an object touches the scene, (N,) bool.
+    """Gaussians to delete where an object touches the scene, (N,) bool.
 
-    Of the object, what lies below its ground by more than a share of its height; of the scene, what
-    lies in the core of the object above its ground. The ground is the median level of the Gaussians
-    of the scene next to the foot.
+    The ground is at the median height of the Gaussians of the scene that are nearest to the foot of
+    the object. Deleted are those of the object that are too deep below it, and those of the scene
+    that are above it in the core of the object.
     """
     means = np.asarray(scene.means, np.float64)
     levels, rows = means @ up, np.flatnonzero(labels)

@@ -100,25 +100,25 @@ def cases_by_family(edited: Frame) -> str:
 
 def scene_probabilities(edited: Frame, authentic: Frame) -> Iterator[str]:
     """AUC of the scene probability, of all edits and by kind, and how many are called edited."""
-    some, none = edited.verdict, authentic.verdict
     yield (
-        f"Scene probability: AUC {separation(some, none):.2f}; it is {ALARM} or more for "
-        f"{int((none >= ALARM).sum())} of {len(none)} authentic and "
-        f"{int((some >= ALARM).sum())} of {len(some)} edited cases."
+        f"Scene probability: AUC {separation(edited, authentic):.2f}; it is {ALARM} or more for "
+        f"{called(authentic)} authentic and {called(edited)} edited cases."
     )
-    lines = []
-    for kind in EDITS:
-        own = where(edited, edit=kind).verdict
-        called = f"{int((own >= ALARM).sum())} of {len(own)}"
-        lines.append([kind, f"{separation(own, none):.2f}", called])
-    yield f"**AUC of the scene probability by edit**, against all {len(none)} authentic cases"
+    some = [(kind, where(edited, edit=kind)) for kind in EDITS]
+    lines = [[kind, f"{separation(own, authentic):.2f}", called(own)] for kind, own in some]
+    yield f"**AUC of the scene probability by edit**, against all {len(authentic)} authentic cases"
     yield markdown(["edit", "AUC", f"probability of {ALARM} or more"], lines)
 
 
 def separation(edited: Frame, authentic: Frame) -> float:
     """AUC of the scene probabilities of edited against those of authentic cases."""
-    values = np.append(edited, authentic)
+    values = np.append(edited.verdict, authentic.verdict)
     return auc(values, np.arange(len(values)) < len(edited))
+
+
+def called(rows: Frame) -> str:
+    """How many cases are called edited, of all."""
+    return f"{int((rows.verdict >= ALARM).sum())} of {len(rows)}"
 
 
 def main(args: HeldoutArgs) -> None:

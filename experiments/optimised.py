@@ -29,7 +29,7 @@ from gsc_jax.splat import render
 PROGRESS = 0.5
 """Share of the steps of a capture after which it has the learning rates that are used here."""
 INTERVAL, DENSIFIED = 50, 0.6
-"""Steps between two densifications, and share of the steps after which there are none."""
+"""Every 50 steps there is a densification, but none in the last 40 % of the steps."""
 
 ImageEdit = Callable[[np.ndarray], np.ndarray]
 
@@ -163,7 +163,7 @@ def optimise_region(
 
 
 def _with_free_rows(gaussians: Gaussians, rows: np.ndarray) -> Gaussians:
-    """A scene with a transparent copy of each of these rows behind all others."""
+    """The scene, and after its last row a transparent copy of each of the marked rows."""
     copies = gaussians.take(np.flatnonzero(rows))
     logits = np.full(len(copies), -np.inf, np.float32)
     return concatenate([gaussians, dataclasses.replace(copies, logit_opacities=logits)])

@@ -64,13 +64,16 @@ class Args:
     reprint: bool = False
 
     def cases(self, edits: Sequence[Edit] | None = None) -> Iterator[Case]:
-        """Cases scene by scene; in a quick run one seed per edit of one small made scene."""
+        """Make the cases of `jobs`."""
+        for job in tqdm(self.jobs(edits), desc="cases", disable=None):
+            yield make_case(*job, self.data)
+
+    def jobs(self, edits: Sequence[Edit] | None = None) -> list[tuple[str, Edit, int]]:
+        """Scene, edit and seed of each case; a quick run has one seed of one small made scene."""
         scenes = (QUICK,) if self.quick else self.scenes or available(self.data)
         count = 1 if self.quick else self.seeds
         seeds = range(self.first_seed, self.first_seed + count)
-        jobs = list(itertools.product(scenes, edits or self.edits, seeds))
-        for scene, edit, seed in tqdm(jobs, desc="cases", disable=None):
-            yield make_case(scene, edit, seed, self.data)
+        return list(itertools.product(scenes, edits or self.edits, seeds))
 
     def one_edit_each(self) -> Iterator[Case]:
         """Cases of a long experiment: one kind of edit per scene, in rotation."""

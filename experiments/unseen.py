@@ -15,15 +15,15 @@ from pathlib import Path
 from typing import get_args
 
 import pandas as pd
-from cases import CUT, QUICK, UNSEEN, Case, make_case, without_edit
+from cases import CUT, UNSEEN, Case, make_case, without_edit
 from editors import Family, case_of_family, laundered_without_edit, source_of_object
 from export import EXPORTERS, export
+from heldout import ALARM, called, separation
 from native import WITH_TRACES, WITHOUT_TRACES, rows_without_masks, stored
 from runner import Args, measured, start
 from tables import Frame, Row, markdown, pivot, where, write_section
 from tqdm import tqdm
 
-from gsc_jax.benchmark.metrics import auc
 from gsc_jax.forensics.classifier import Classifier, default_classifier
 from gsc_jax.forensics.evidence import forensic_evidence
 from gsc_jax.scene import InputError
@@ -31,8 +31,6 @@ from gsc_jax.scene import InputError
 AS_EDITED = "as edited"
 LOSSY = ("8 bits", "spz", "compressed.ply", "palettes", "splat", "level of detail")
 """Exporters of edited scenes: those that change most numbers."""
-ALARM = 0.5
-"""Scene probability from which a scene is called edited."""
 FAMILIES: tuple[Family, ...] = get_args(Family)
 UNTOUCHED = "none"
 """Family of authentic scenes that were not laundered."""
@@ -87,10 +85,9 @@ def all_rows(args: FamilyArgs) -> Iterator[Iterator[Row]]:
     if not (args.quick or (args.data / "scenes").is_dir()):
         raise InputError(f"{args.data}: no scenes; this experiment needs the real ones")
     classifier = stored(args.classifier) if args.classifier else default_classifier()
-    scenes = (QUICK,) if args.quick else args.scenes
-    seeds = range(args.first_seed, args.first_seed + (1 if args.quick else args.seeds))
-    jobs = list(itertools.product(scenes, args.families, args.edits, seeds))
-    for scene, family, edit, seed in tqdm(jobs, desc="cases", disable=None):
+    jobs = args.jobs()
+    both = list(itertools.product(jobs, args.families))
+    for (scene, edit, seed), family in tqdm(both, desc="cases", disable=None):
         try:
             case = case_of_family(scene, edit, seed, family, args.data)
         except InputError as error:
@@ -98,7 +95,7 @@ def all_rows(args: FamilyArgs) -> Iterator[Iterator[Row]]:
             continue
         for exporter in (AS_EDITED, *LOSSY):
             yield rows_of(case, exporter, classifier, family)
-    for scene in scenes:
+    for scene in dict.fromkeys(scene for scene, *_ in jobs):
         case = without_edit(make_case(scene, "modification", args.first_seed, args.data))
         for exporter in tqdm((AS_EDITED, *EXPORTERS), desc=f"authentic {scene}", disable=None):
             yield rows_of(case, exporter, classifier)
@@ -109,7 +106,7 @@ def all_rows(args: FamilyArgs) -> Iterator[Iterator[Row]]:
 
 
 def report(rows: Frame) -> str:
-    """All tables; those by exporter are of the quick edits, or of the first family without them."""
+    """All tables. Those by exporter are of the quick edits; without any, of the first family."""
     own = where(rows, method=WITH_TRACES)
     edited, authentic = own[own.edit != "none"], where(own, edit="none")
     after = edited[edited.export != AS_EDITED]
@@ -148,30 +145,25 @@ def _scene_aucs(rows: Frame) -> Iterator[str]:
     edits = [edit for edit in rows.edit.unique() if edit != "none"]
     lines = []
     for family in rows[rows.edit != "none"].family.unique():
-        authentic = "laundered" if family == "laundered" else UNTOUCHED
-        some = where(rows, family=family)
-        pairs = some[some.edit != "none"], where(rows, family=authentic, edit="none")
-        both = pd.concat(pairs)
-        line = [_both_aucs(both[both.edit.isin([edit, "none"])]) for edit in edits]
-        lines.append([family, *line, _both_aucs(both), *map(_called, pairs)])
+        like = "laundered" if family == "laundered" else UNTOUCHED
+        some, authentic = where(rows, family=family), where(rows, family=like, edit="none")
+        edited = some[some.edit != "none"]
+        parts = [where(edited, edit=edit) for edit in edits]
+        aucs = [_both_aucs(part, authentic) for part in (*parts, edited)]
+        counts = [called(where(part, method=WITH_TRACES)) for part in (edited, authentic)]
+        lines.append([family, *aucs, *counts])
     yield markdown(["family", *edits, "all", "edited", "authentic"], lines)
 
 
-def _called(rows: Frame) -> str:
-    """How many are called edited, of all."""
-    own = where(rows, method=WITH_TRACES)
-    return f"{int((own.verdict >= ALARM).sum())} of {len(own)}"
-
-
-def _both_aucs(rows: Frame) -> str:
+def _both_aucs(edited: Frame, authentic: Frame) -> str:
     """AUC of the scene probability with traces, and in brackets without; - if there is none."""
-    both = []
-    for method in (WITH_TRACES, WITHOUT_TRACES):
-        own = where(rows, method=method)
-        if not {"none"} < set(own.edit):
-            return "-"
-        both.append(auc(own.verdict.to_numpy(), (own.edit != "none").to_numpy()))
-    return "{:.2f} ({:.2f})".format(*both)
+    if edited.empty or authentic.empty:
+        return "-"
+    with_traces, without = (
+        separation(where(edited, method=method), where(authentic, method=method))
+        for method in (WITH_TRACES, WITHOUT_TRACES)
+    )
+    return f"{with_traces:.2f} ({without:.2f})"
 
 
 def _probabilities(edited: Frame, authentic: Frame) -> Iterator[str]:
@@ -184,11 +176,10 @@ def _probabilities(edited: Frame, authentic: Frame) -> Iterator[str]:
         lines.append([history.replace(AS_EDITED, "untouched"), *(f"{v:.2f}" for v in values)])
     yield f"**Scene probability of authentic scenes by history**; {ALARM} or more is a false alarm"
     yield markdown(["history", *scenes], lines)
-    called = {
-        name: f"{int((some.verdict >= ALARM).sum())} of {len(some)} {name} scenes"
-        for name, some in (("authentic", authentic), ("edited", edited))
-    }
-    yield f"Called edited: {called['authentic']} with these histories, and {called['edited']}."
+    yield (
+        f"Called edited: {called(authentic)} authentic scenes with these histories, and "
+        f"{called(edited)} edited scenes."
+    )
 
 
 def main(args: FamilyArgs) -> None:

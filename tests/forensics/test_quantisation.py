@@ -59,7 +59,8 @@ def test_a_part_of_equal_colours_among_others_is_none_with_levels(others, found)
 def test_levels_of_small_chunks_are_the_format_and_those_of_a_part_are_none(size, found):
     """A compressed.ply has 256 levels between the extremes of each of its chunks."""
     host, rng = room(20_000), np.random.default_rng(0)
-    order, sh, part = order_of_leaves(host.means), np.array(host.sh), central_rows(host, 1500)
+    order, part = order_of_leaves(np.asarray(host.means)), central_rows(host, 1500)
+    sh = np.array(host.sh)
     sh[:, 0] = rng.normal(size=(len(sh), 3))
     sh[part, 0] = 0.1 * rng.integers(-9, 9, (len(part), 3))
     sh[part[::50], 0] = 1

@@ -77,7 +77,7 @@ def test_what_training_did_not_move_is_no_part_with_another_length(rotation):
     unit, rng = np.asarray(room().rotations), np.random.default_rng(0)
     deviation = {"none": 0.1, "kept": 0.004}[rotation]
     lengths = 1 + deviation * rng.normal(size=(len(unit), 1))
-    kept = unit[PART] if rotation == "kept" else np.float32([1, 0, 0, 0])
+    kept = unit[PART] if rotation == "kept" else np.array([1, 0, 0, 0], np.float32)
     trained = dataclasses.replace(room(), quats=(unit * lengths).astype(np.float32))
     assert not detected(quaternion_convention, changed(trained, PART, quats=kept)).found
 

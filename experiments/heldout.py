@@ -117,7 +117,7 @@ def separation(edited: Frame, authentic: Frame) -> float:
 
 
 def called(rows: Frame) -> str:
-    """How many cases are called edited, of all."""
+    """Number of cases that are called edited, and of all, such as "3 of 14"."""
     return f"{int((rows.verdict >= ALARM).sum())} of {len(rows)}"
 
 

@@ -106,7 +106,7 @@ def all_rows(args: FamilyArgs) -> Iterator[Iterator[Row]]:
 
 
 def report(rows: Frame) -> str:
-    """All tables. Those by exporter are of the quick edits; without any, of the first family."""
+    """All tables. Those by exporter show quick edits or, if there are none, the first family."""
     own = where(rows, method=WITH_TRACES)
     edited, authentic = own[own.edit != "none"], where(own, edit="none")
     after = edited[edited.export != AS_EDITED]

@@ -28,8 +28,8 @@ MAX_SINGLE_SHARE = 0.3
 """Share of unique values in a region above which its other values are equal by chance: 0.40 in a
 scene where an exporter had merged similar Gaussians, at most 0.04 in pasted objects (by hand)."""
 MAX_EQUAL_SHARE = 0.05
-"""Share of the other values that a neighbour has, too, above which small chunks have levels each:
-at least 0.08 in scenes from a compressed.ply, at most 0.03 in others (by hand)."""
+"""Share of rare values that equal one of a neighbour, above which each chunk of a file has its own
+levels: at least 0.08 in scenes from a compressed.ply, at most 0.03 in others (by hand)."""
 SCENE_FACTOR = 2.0
 """Weight of distances to the levels of the scene, since those of an edit scatter towards them."""
 MAX_BLOCK_SHARE = 0.2

@@ -25,6 +25,7 @@ from tqdm import tqdm
 
 from gsc_jax.benchmark.metrics import Confusion, auc, mean_over_tampered_views
 from gsc_jax.benchmark.tamper import EDITS, Edit
+from gsc_jax.cli.cache import cache_folder, enable_compilation_cache
 from gsc_jax.evidence.masks import MIN_COVERAGE
 from gsc_jax.io.files import existing_file
 from gsc_jax.render.tiles import View, make_view
@@ -144,10 +145,16 @@ def merge(before: Frame, rows: Frame) -> Frame:
 
 
 def start(main: Callable[[Any], None], description: str | None) -> None:
-    """Run a script from the command line: its arguments are those of its `main`."""
+    """Run a script from the command line: its arguments are those of its `main`.
+
+    Compiled functions are stored, since each size of a scene needs its own: no time is measured
+    with compilation.
+    """
     (takes,) = inspect.signature(main).parameters.values()
     try:
-        main(tyro.cli(takes.annotation, description=description))
+        args = tyro.cli(takes.annotation, description=description)
+        enable_compilation_cache(cache_folder())
+        main(args)
     except InputError as error:
         sys.exit(f"{Path(sys.argv[0]).name}: {error}")
 

@@ -116,7 +116,7 @@ def _real(name: str, data: Path) -> tuple[Gaussians, list[Camera], list[Camera]]
 
 
 def siblings_of(scene: str) -> tuple[tuple[str, ...], list[str]]:
-    """The real, unseen or made scenes, whichever this is one of, and those to cut objects from."""
+    """All scenes of the kind of this one (real, unseen or made), and those to cut objects from."""
     siblings = next(some for some in (REAL, UNSEEN, (*MADE, QUICK)) if scene in some)
     return siblings, [name for name in siblings if name not in (scene, QUICK)]
 

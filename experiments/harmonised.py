@@ -20,7 +20,7 @@ STRENGTH = (0.4, 0.9)
 MAX_GAIN = 1.6
 """The contrast of an object is multiplied by at most this number, and by at least its inverse."""
 PLACE_REACH = 2.0
-"""Radius of the place of an object, around its middle, relative to that of the object."""
+"""An object takes on the light of what lies within this many of its radii from its middle."""
 GROUND_DEPTH = 0.02
 """Share of the height of an object that may lie below the ground."""
 CORE = 0.9
@@ -34,7 +34,7 @@ def incorporate(
     rng: np.random.Generator,
     donor: Gaussians,
 ) -> regions.ProposedEdit:
-    """Paste an object, light it like its place, and delete what overlaps at the contact.
+    """Paste an object, light it like what is around it, and delete what overlaps there.
 
     The arguments are those of `paste_object`.
     """

@@ -14,10 +14,10 @@ import jax
 import numpy as np
 from cases import DATA, Scene, available, load_scene, pruned
 from cut_object import cut_object
+from editors import UNTOUCHED, program_of
 from export import EXPORTERS, export
 from garden import make_garden
-from inpainted import inpaint_region
-from optimised import laundered, optimise_region
+from optimised import laundered
 
 from gsc_jax import load_cameras, load_ply
 from gsc_jax.benchmark.scenes import make_object, make_room
@@ -30,21 +30,21 @@ OBJECTS = ("statue", "guitar", "plant", "bust", "wooden_figure", "kneeling_angel
 VIEWS = 24
 """Cameras of a capture that an edit looks through; every fourth of them is held out."""
 LAUNDERED = 0.25
-"""Share of the edits of captures after which the whole scene is trained a little more."""
-OPTIMISED = 0.5
-"""Share of the modifications and removals of captures that are made as optimising editors do."""
+"""Share of the whole captures, edited or not, that are trained a little more afterwards."""
+BY_PROGRAM, DENSIFIED, ROUGH = 0.75, 0.5, 0.5
+"""Share of the edits of whole captures that the programs of editors make, of the modifications
+among them with densification, and of the objects cut from another host with some background."""
 MAX_HOST = 60_000
-"""Gaussians of a host whose edits may be optimised, which takes minutes for large ones, and of a
+"""Gaussians of a host whose edits programs may make, which takes minutes for large ones, and of a
 part of a host."""
-PROGRAM_SEEDS = 2
+PROGRAM_SEEDS = 3
 """Seeds with whole hosts and the programs of editors; the others have parts and quick edits."""
-FIRST_SEED, SCENE_SEEDS, CAPTURE_SEEDS = 1000, 10, 4
+FIRST_SEED, SCENE_SEEDS, CAPTURE_SEEDS = 1000, 10, 5
 """First seed of the cases of training, and numbers of seeds of a host and kind of edit. Each of the
-many captures has fewer cases, of which one in four has the programs of editors."""
+many captures has fewer cases, of which two in five have whole hosts."""
 Kind = Edit | Literal["none"]
 NO_EDIT: Literal["none"] = "none"
 MADE_HOSTS = {"room": make_room, "garden": make_garden}
-PROGRAMS: dict[Edit, Proposal] = {"modification": optimise_region, "removal": inpaint_region}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -56,14 +56,16 @@ class BankCase:
         labels: True where a Gaussian is tampered, shape (N,).
         sources: What the host and the donor are captures of.
         edit: Kind of the edit, or `NO_EDIT`.
-        how: What was done, with the exporter last.
+        family: How the edit was made, see editors.py; `UNTOUCHED` for authentic scenes.
+        exporter: The exporter or harmless history.
     """
 
     gaussians: Gaussians
     labels: np.ndarray
     sources: frozenset[str]
     edit: str
-    how: tuple[str, ...]
+    family: str
+    exporter: str
 
 
 def source_of(name: str) -> str:
@@ -120,12 +122,22 @@ def draw_donor(
     kind, seed = rng.integers(3), int(rng.integers(2**31))
     if kind == 0:
         source = load_host(name := str(rng.choice(others)), bank, data)
-        return name, cut_object(source.gaussians, source.cameras, seed=seed)
+        rough = bool(rng.random() < ROUGH)
+        return name, cut_object(source.gaussians, source.cameras, seed=seed, rough=rough)
     name = str(rng.choice((captured if kind == 1 else scanned) or ["vase"]))
     if name == "vase":
         return name, make_object(seed=seed)
     path = bank / name / "scene.ply" if "-" in name else data / "objects" / f"{name}.ply"
     return name, pruned(load_ply(path), count)
+
+
+def change_of(
+    edit: Edit, donor: Gaussians | None, *, quick: bool, rng: np.random.Generator
+) -> Edit | Gaussians | tuple[Edit, Proposal]:
+    """What `tamper` makes: a quick edit, or that of an editor's program."""
+    if quick:
+        return edit if donor is None else donor
+    return edit, program_of(edit, donor, densify=bool(rng.random() < DENSIFIED))
 
 
 def bank_case(host: str, edit: Kind, seed: int, bank: Path = BANK, data: Path = DATA) -> BankCase:
@@ -135,23 +147,21 @@ def bank_case(host: str, edit: Kind, seed: int, bank: Path = BANK, data: Path = 
         InputError: if the host has no place for such an edit.
     """
     scene, rng = load_host(host, bank, data), np.random.default_rng([seed, *host.encode()])
-    quick = seed >= FIRST_SEED + PROGRAM_SEEDS
-    gaussians = drawn_host(scene, seed, rng) if quick else scene.gaussians
-    labels = np.zeros(len(gaussians), bool)
-    sources, how = {source_of(host)}, []
+    whole = seed < FIRST_SEED + PROGRAM_SEEDS
+    gaussians = scene.gaussians if whole else drawn_host(scene, seed, rng)
+    small, labels = whole and len(gaussians) < MAX_HOST, np.zeros(len(gaussians), bool)
+    sources, family = {source_of(host)}, UNTOUCHED
     if edit != NO_EDIT:
-        change: Edit | Gaussians | tuple[Edit, Proposal] = edit
+        donor = None
         if edit == "incorporation":
-            name, change = draw_donor(host, len(gaussians) // 4, bank, data, rng)
+            name, donor = draw_donor(host, len(gaussians) // 4, bank, data, rng)
             sources.add(source_of(name))
-        elif not quick and len(gaussians) < MAX_HOST and rng.random() < OPTIMISED:
-            change = edit, PROGRAMS[edit]
+        family = "editor" if small and rng.random() < BY_PROGRAM else "quick"
+        change = change_of(edit, donor, quick=family == "quick", rng=rng)
         edited = tamper(gaussians, scene.cameras, change, seed=seed)
         gaussians, labels = edited.gaussians, edited.labels
-        how.append(edited.description)
-        if not quick and len(gaussians) < MAX_HOST and rng.random() < LAUNDERED:
-            gaussians = laundered(gaussians, scene.cameras)
-            how.append("laundered")
+    if small and rng.random() < LAUNDERED:
+        gaussians, family = laundered(gaussians, scene.cameras), "laundered"
     exporter = str(rng.choice(list(EXPORTERS)))
     saved, rows = export(gaussians, exporter, seed=seed)
     return BankCase(
@@ -159,5 +169,6 @@ def bank_case(host: str, edit: Kind, seed: int, bank: Path = BANK, data: Path = 
         labels=labels[rows],
         sources=frozenset(sources),
         edit=edit,
-        how=(*how, exporter),
+        family=family,
+        exporter=exporter,
     )

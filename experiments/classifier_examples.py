@@ -29,13 +29,15 @@ RETRY, RETRIES = 10_000, 3
 class Examples:
     """Features (M, F) float16 and labels (M,) of a sample of a case.
 
-    `sources` are what the host and a pasted object are captures of; `share` is the share of all its
+    `sources`, `family` and `exporter` are those of the case; `share` is the share of all its
     Gaussians that are tampered, which is 0 if the host has no place for such an edit.
     """
 
     host: str
     edit: str
     sources: frozenset[str]
+    family: str
+    exporter: str
     values: np.ndarray
     labels: np.ndarray
     share: float
@@ -100,6 +102,8 @@ def _sampled(case: BankCase) -> dict[str, np.ndarray]:
         "share": case.labels.mean(),
         "names": np.array(features.names),
         "sources": np.array(sorted(case.sources)),
+        "family": np.array(case.family),
+        "exporter": np.array(case.exporter),
     }
 
 
@@ -112,6 +116,8 @@ def read_examples(path: Path) -> Examples:
             host=host,
             edit=edit,
             sources=frozenset(stored["sources"].tolist() if found else ()),
+            family=str(stored["family"]) if found else "",
+            exporter=str(stored["exporter"]) if found else "",
             values=stored["values"] if found else np.zeros((0, 0), np.float16),
             labels=stored["labels"] if found else np.zeros(0, bool),
             share=float(stored["share"]),

@@ -1,9 +1,8 @@
-"""Edits as the programs of editors make them, of scenes of which the classifier learned nothing.
+"""Edits as the programs of editors make them, and what a little more training leaves of an edit.
 
-Incorporations are harmonised, modifications are optimised for edited views with densification, and
-removals are inpainted. Laundered cases are the quick edits of cases.py, after which the whole scene
-was trained a little more. The bank has inpainted, laundered and, without densification, optimised
-cases of other scenes; nothing was trained on harmonised or densified ones.
+Incorporations are harmonised, modifications are optimised for edited views with or without
+densification, and removals are inpainted. Laundered cases are those after which the whole scene was
+trained a little more. Cases of cases.py are edited here; the bank has such cases of other scenes.
 """
 
 import dataclasses
@@ -20,12 +19,25 @@ from inpainted import inpaint_region
 from optimised import laundered, optimise_region
 
 from gsc_jax.benchmark.tamper import Edit, Proposal
+from gsc_jax.scene import Gaussians
 
 Family = Literal["quick", "editor", "laundered"]
-PROGRAMS: dict[Edit, Proposal] = {
-    "modification": functools.partial(optimise_region, densify=True),
-    "removal": inpaint_region,
-}
+UNTOUCHED = "none"
+"""Family of authentic scenes that were not laundered."""
+
+
+def program_of(edit: Edit, donor: Gaussians | None = None, *, densify: bool = True) -> Proposal:
+    """The program that makes a kind of edit; an incorporation needs an object to paste.
+
+    With `densify`, the region of a modification is densified while it is optimised.
+    """
+    if edit == "incorporation":
+        if donor is None:
+            raise ValueError("an incorporation needs an object to paste")
+        return functools.partial(incorporate, donor=donor)
+    if edit == "removal":
+        return inpaint_region
+    return functools.partial(optimise_region, densify=densify)
 
 
 def case_of_family(name: str, edit: Edit, seed: int, family: Family, data: Path = DATA) -> Case:
@@ -55,7 +67,8 @@ def source_of_object(name: str, seed: int) -> str:
 def program(name: str, edit: Edit, seed: int, data: Path = DATA) -> Proposal:
     """The program of a kind of edit; objects are cut from another scene, roughly for odd seeds."""
     if edit != "incorporation":
-        return PROGRAMS[edit]
+        return program_of(edit)
     source = load_scene(source_of_object(name, seed), data)
-    donor = cut_object(source.gaussians, source.cameras, seed=seed, rough=bool(seed % 2))
-    return functools.partial(incorporate, donor=donor)
+    return program_of(
+        edit, cut_object(source.gaussians, source.cameras, seed=seed, rough=bool(seed % 2))
+    )

@@ -31,7 +31,7 @@ from gsc_jax.forensics.evidence import (
 )
 
 SEEDS = (FIRST_SEED + 1, FIRST_SEED + PROGRAM_SEEDS + 1)
-"""With the first, whole hosts are edited, also by optimisation; with the second, parts of hosts."""
+"""With the first, whole hosts are edited, also by programs of editors; with the second, parts."""
 ALARM = 0.5
 """Scene probability from which a scene is called edited."""
 KINDS: tuple[Kind, ...] = (*EDITS, NO_EDIT)
@@ -48,14 +48,6 @@ class HeldoutArgs(NativeArgs):
     bank: Path = BANK
 
 
-def family(case: BankCase) -> str:
-    """How the edit was made: quickly, by optimising for edited views, or with more training."""
-    described = " ".join(case.how)
-    if "laundered" in described:
-        return "laundered"
-    return "optimised" if "optimised" in described or "inpainted" in described else "quick"
-
-
 def rows_of(host: str, kind: Kind, seed: int, args: HeldoutArgs) -> Iterator[Row]:
     """Measure one case; nothing if the host has no place for the edit."""
     case = stored_case(host, kind, seed, args.bank, args.data, args.keep)
@@ -68,8 +60,8 @@ def rows_of(host: str, kind: Kind, seed: int, args: HeldoutArgs) -> Iterator[Row
 
 def measure(case: BankCase, evidence: ForensicEvidence, host: str, seed: int) -> Row:
     """Scores of the Gaussians of an edited case, and the scene probability."""
-    row = {"host": host, "edit": case.edit, "seed": seed, "export": case.how[-1]}
-    row |= {"family": family(case), "verdict": evidence.verdict, "regime": "no masks"}
+    row = {"host": host, "edit": case.edit, "seed": seed, "export": case.exporter}
+    row |= {"family": case.family, "verdict": evidence.verdict, "regime": "no masks"}
     if case.edit == NO_EDIT:
         return row
     labels = estimate_from_attributes(evidence).labels

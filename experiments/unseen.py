@@ -16,7 +16,7 @@ from typing import get_args
 
 import pandas as pd
 from cases import CUT, UNSEEN, Case, make_case, without_edit
-from editors import Family, case_of_family, laundered_without_edit, source_of_object
+from editors import UNTOUCHED, Family, case_of_family, laundered_without_edit, source_of_object
 from export import EXPORTERS, export
 from heldout import ALARM, called, separation
 from native import WITH_TRACES, WITHOUT_TRACES, rows_without_masks, stored
@@ -32,8 +32,6 @@ AS_EDITED = "as edited"
 LOSSY = ("8 bits", "spz", "compressed.ply", "palettes", "splat", "level of detail")
 """Exporters of edited scenes: those that change most numbers."""
 FAMILIES: tuple[Family, ...] = get_args(Family)
-UNTOUCHED = "none"
-"""Family of authentic scenes that were not laundered."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -14,6 +14,7 @@ from forensics_cases import room
 from scipy.special import expit
 
 from gsc_jax.benchmark.metrics import auc
+from gsc_jax.benchmark.modification import modify_region
 from gsc_jax.benchmark.scenes import make_room
 from gsc_jax.forensics.classifier import (
     default_classifier,
@@ -37,6 +38,8 @@ def examples(host: str, seed: int, *, pasted_from: str | None = None) -> Example
         host=host,
         edit=("removal", "modification")[seed % 2],
         sources=frozenset({host, pasted_from or host}),
+        family="quick",
+        exporter="float",
         values=values.astype(np.float16),
         labels=labels,
         share=0.1,
@@ -124,7 +127,26 @@ def test_cases_of_a_seed_are_the_same_and_have_their_sources(small_rooms, tmp_pa
     assert pasted.sources in ({"room", "vase"}, {"room", "garden"}), "no real object is at hand"
     authentic = bank_case("room", NO_EDIT, QUICK_SEED, tmp_path, tmp_path / "absent")
     assert not authentic.labels.any()
-    assert len(authentic.how) == 1, "an exporter or a harmless history, and nothing else"
+    assert (one.family, authentic.family) == ("quick", "none"), "parts of hosts are edited quickly"
+
+
+@pytest.mark.parametrize(("laundered", "family"), [(0, "editor"), (1, "laundered")])
+def test_whole_hosts_are_edited_by_programs(laundered, family, tmp_path, monkeypatch):
+    asked = []
+
+    def program_of(edit, donor, *, densify):
+        asked.append((edit, densify))
+        return modify_region
+
+    monkeypatch.setattr(bank, "program_of", program_of)
+    monkeypatch.setattr(bank, "laundered", lambda gaussians, _: gaussians)
+    monkeypatch.setattr(bank, "BY_PROGRAM", 1)
+    monkeypatch.setattr(bank, "LAUNDERED", laundered)
+    place = (tmp_path, tmp_path / "absent")
+    assert bank_case("room", "modification", FIRST_SEED, *place).family == family
+    assert [edit for edit, _ in asked] == ["modification"]
+    authentic = bank_case("room", NO_EDIT, FIRST_SEED, *place)
+    assert authentic.family == (family if laundered else "none")
 
 
 def test_examples_are_kept_and_a_host_without_a_place_has_none(small_rooms, tmp_path, monkeypatch):
@@ -183,7 +205,11 @@ def test_only_cases_that_may_take_minutes_are_stored(small_rooms, tmp_path, monk
             assert again is not None
             chex.assert_trees_all_equal(again.gaussians, case.gaussians)
             np.testing.assert_array_equal(again.labels, case.labels)
-            assert (again.sources, again.edit, again.how) == (case.sources, case.edit, case.how)
+            assert (again.sources, again.edit, again.exporter) == (
+                case.sources,
+                "removal",
+                case.exporter,
+            )
             nothing = classifier_examples.stored_case("room", NO_EDIT, seed, *place, tmp_path)
             assert nothing is None, "a host without a place for the edit"
     assert drawn == [FIRST_SEED] * 2 + [QUICK_SEED] * 4

@@ -1,0 +1,166 @@
+"""What the classifier knows of cases when more than their host is new to it.
+
+    python experiments/captures.py
+    python experiments/train_classifier.py --keep .cues
+    python experiments/leave_out.py --keep .cues [--out docs]
+
+A network is trained for each case on the training cases that do not show the source of its host.
+With "donor", none of them shows the source of the pasted object either; with "editor", none is of
+the family of the case (quick edits, programs of editors, laundered ones); with "exporter", none was
+exported in the same way; with "trainer", none has a host that was trained by the same strategy;
+with "all", none shares any of these. One network scores, not an ensemble, with the novelty.
+"""
+
+import dataclasses
+import itertools
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from bank import BANK, FIRST_SEED, BankCase, hosts, source_of, training_seeds
+from classifier_examples import Examples, make_examples, stored_case
+from native import NativeArgs
+from runner import measured, start
+from tables import Frame, Row, markdown, where, write_section
+from tqdm import tqdm
+from train_classifier import train_network
+
+from gsc_jax.benchmark.metrics import auc
+from gsc_jax.benchmark.tamper import EDITS
+from gsc_jax.forensics.classifier import (
+    Layers,
+    default_classifier,
+    smoothed_log_odds,
+    smoothed_novelty,
+)
+from gsc_jax.forensics.features import compute_features, with_finite_scales
+
+SCORED = FIRST_SEED + 1
+"""Seed of the cases that are scored: whole hosts, also edited by programs."""
+LEAST = 8
+"""Cases that a network is trained on at least."""
+
+Shares = Callable[[Examples, str, BankCase], bool]
+"""Whether a training case shares something with a case, whose host is given by its name."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class LeaveOutArgs(NativeArgs):
+    """Arguments of the experiment.
+
+    Attributes:
+        bank: The captures; without them only scenes of cases.py are edited.
+    """
+
+    bank: Path = BANK
+
+
+def trainer_of(host: str) -> str:
+    """Strategy of the training of a capture; other scenes were not trained here."""
+    return host.rsplit("-", 1)[1] if "-" in host else ""
+
+
+def same_host(one: Examples, host: str, _: BankCase) -> bool:
+    """Whether a training case shows the source of the host."""
+    return source_of(host) in one.sources
+
+
+def same_donor(one: Examples, host: str, case: BankCase) -> bool:
+    """Whether a training case shows the source of the pasted object."""
+    return bool(one.sources & (case.sources - {source_of(host)}))
+
+
+SHARED: Mapping[str, Shares] = {
+    "donor": same_donor,
+    "editor": lambda one, _, case: one.family == case.family,
+    "exporter": lambda one, _, case: one.exporter == case.exporter,
+    "trainer": lambda one, host, _: trainer_of(one.host) == trainer_of(host),
+}
+"""What may be left out besides the source of the host."""
+LEFT_OUT: Mapping[str, tuple[str, ...]] = {
+    "host": (),
+    **{f"host and {name}": (name,) for name in SHARED},
+    "all": tuple(SHARED),
+}
+
+
+def learned_of(
+    cases: Sequence[Examples], host: str, case: BankCase, left_out: Sequence[str]
+) -> list[int]:
+    """Numbers of the training cases that share neither the host nor any of these with a case."""
+    tests = [same_host, *(SHARED[name] for name in left_out)]
+    return [k for k, one in enumerate(cases) if not any(test(one, host, case) for test in tests)]
+
+
+class Trained:
+    """Networks by the numbers of the cases that they were trained on, each trained once."""
+
+    def __init__(self, cases: Sequence[Examples]) -> None:
+        """`cases` are all that may be learned of."""
+        self.cases = cases
+        self._networks: dict[tuple[int, ...], Layers] = {}
+
+    def network(self, learned: Sequence[int]) -> Layers:
+        """The network of these cases."""
+        key = tuple(learned)
+        if key not in self._networks:
+            own = [self.cases[k] for k in key]
+            self._networks[key] = train_network(own, seed=len(self._networks))
+        return self._networks[key]
+
+
+def rows_of(host: str, case: BankCase, trained: Trained) -> Iterator[Row]:
+    """AUC of one case with each choice of what is left out; none where hardly any case is left."""
+    features = compute_features(with_finite_scales(case.gaussians))
+    classifier = default_classifier()
+    means = np.asarray(case.gaussians.means, np.float32)
+    novelty = classifier.novelty * smoothed_novelty(features, means)
+    key = {"host": host, "edit": case.edit, "family": case.family, "export": case.exporter}
+    for name, left_out in LEFT_OUT.items():
+        learned = learned_of(trained.cases, host, case, left_out)
+        if len(learned) >= LEAST:
+            one = dataclasses.replace(classifier, networks=(trained.network(learned),))
+            score = auc(smoothed_log_odds(features, one) + novelty, case.labels)
+            yield key | {"left_out": name, "cases": len(learned), "auc": score}
+    yield key | {"left_out": "no network", "cases": 0, "auc": auc(novelty, case.labels)}
+
+
+def report(rows: Frame) -> str:
+    """AUC by what is left out, of the cases that have all of the rows."""
+    counts = rows.groupby(["host", "edit"]).left_out.transform("size")
+    rows = rows[counts == counts.max()]
+    lines = []
+    for name in rows.left_out.unique():
+        own = where(rows, left_out=name)
+        scores = [f"{where(own, edit=edit).auc.mean():.3f}" for edit in EDITS]
+        lines.append([name, f"{own.cases.mean():.0f}", *scores, f"{own.auc.mean():.3f}"])
+    counted = ", ".join(f"{where(own, edit=edit).shape[0]} of {edit}" for edit in EDITS)
+    table = markdown(["left out", "learned of", *EDITS, "all"], lines)
+    return f"**AUC per Gaussian by what is left out of the training**, cases: {counted}\n\n{table}"
+
+
+def all_rows(args: LeaveOutArgs) -> Iterator[Iterator[Row]]:
+    """Train and measure case by case."""
+    names, place = hosts(args.bank, args.data), (args.bank, args.data, args.keep)
+    jobs = list(itertools.product(names, EDITS))
+    made = [
+        make_examples(*job, seed, *place)
+        for job in tqdm(jobs, desc="examples", disable=None)
+        for seed in training_seeds(job[0])
+    ]
+    trained = Trained([one for one in made if one.share > 0])
+    for host, edit in tqdm(jobs, desc="cases", disable=None):
+        if case := stored_case(host, edit, SCORED, *place):
+            yield rows_of(host, case, trained)
+
+
+def main(args: LeaveOutArgs) -> None:
+    """Measure every case; print and write the table."""
+    rows = measured(args, "leave_out", all_rows(args))
+    text = report(rows)
+    print(text)
+    write_section(args.out / "results.md", "leave_out", text)
+
+
+if __name__ == "__main__":
+    start(main, __doc__)

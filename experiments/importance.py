@@ -1,26 +1,29 @@
-"""Permutation importance of the features: the loss of AUC when a group of them is shuffled.
+"""What each group of features adds: networks are trained without it, and score unseen hosts.
 
-    python experiments/importance.py [--quick] [--out docs] [--classifier .cues/bank.npz]
+    python experiments/captures.py
+    python experiments/train_classifier.py --keep .cues
+    python experiments/importance.py --keep .cues [--together surface agreement] [--out docs]
 
-The classifier is that of the package, on scenes and objects that nothing was trained on, after an
-export. The values of one group are shuffled among the Gaussians of a case for the networks only;
-novelty keeps its features. The last rows leave out novelty and the networks. A group that is
-correlated with others loses little, and no network was trained without it.
+For each source and each group, networks are trained on the cases of the other sources without the
+columns of the group, and score cases of the source; novelty is computed without the group, too. The
+last rows leave out novelty and the networks. Groups may replace each other: two that lose nothing
+alone may lose something together, which `--together` measures.
 """
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import charts
-import jax
 import numpy as np
-from cases import Case
+from bank import BankCase, source_of
+from classifier_examples import Examples
+from leave_out import LeaveOutArgs, examples_of, scored_cases
 from matplotlib import pyplot as plt
-from native import stored
 from runner import measured, start
 from tables import Frame, Row, pivot, where, write_section
-from unseen import UnseenArgs, exported
+from tqdm import tqdm
+from train_classifier import train_network
 
 from gsc_jax.benchmark.metrics import auc
 from gsc_jax.forensics.classifier import (
@@ -31,127 +34,156 @@ from gsc_jax.forensics.classifier import (
 )
 from gsc_jax.forensics.features import Features, compute_features, in_group, with_finite_scales
 from gsc_jax.scene import InputError
-from gsc_jax.scene.gaussians import usable_rows
-from gsc_jax.scene.neighbours import order_of_leaves
 
-EXPORTER = "8 bits"
-NOTHING, NO_NOVELTY, NO_NETWORKS = "nothing", "novelty left out", "networks left out"
-LEFT_OUT = NO_NOVELTY, NO_NETWORKS
-SMALL = 0.0005
-"""Mean loss of AUC below which a group loses nothing: the table rounds it to 0."""
+NOTHING, NO_NOVELTY, NO_NETWORKS = "nothing", "novelty", "networks"
+PARTS = NO_NOVELTY, NO_NETWORKS
+MEMBERS = 2
+"""Networks of an ensemble: AUC varies between those of other seeds."""
+SMALL = 0.001
+"""Mean loss of AUC below which a group adds nothing."""
+Groups = tuple[str, ...]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class ShuffledFeatures(Features):
-    """Features of N Gaussians whose columns of a group come from other Gaussians.
+class ImportanceArgs(LeaveOutArgs):
+    """Arguments of the experiment.
 
     Attributes:
-        group: Name of the group, the first part of the names of its columns.
-        order: Gaussian from which each takes the values of the group, shape (N,).
+        together: Groups that are left out together in one more row.
     """
 
-    group: str
-    order: np.ndarray
-
-    def rows(self, rows: np.ndarray | slice = slice(None)) -> np.ndarray:
-        """The values of some Gaussians, by default of all, shape (M, F) float32."""
-        values, columns = super().rows(rows), in_group(self.names, self.group)
-        values[:, columns] = super().rows(self.order[rows])[:, columns]
-        return values
+    together: tuple[str, ...] = ()
 
 
-def groups_of(features: Features) -> list[str]:
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ReducedFeatures(Features):
+    """Features of N Gaussians without what tells them apart by some groups: these columns are 0.
+
+    Attributes:
+        without: Names of the groups, the first parts of the names of their columns.
+    """
+
+    without: Groups
+
+    def own(self) -> Iterator[np.ndarray]:
+        """Yield the numbers of the Gaussians themselves, a few at a time, (N, D)."""
+        first = 0
+        for values in super().own():
+            names = self.names[first : first + values.shape[1]]
+            yield np.where(kept_columns(names, self.without), values, np.float32(0))
+            first += values.shape[1]
+
+
+def kept_columns(names: Sequence[str], without: Groups) -> np.ndarray:
+    """Mask of the columns of all other groups, shape (F,) bool."""
+    return ~np.any([np.zeros(len(names), bool), *(in_group(names, g) for g in without)], axis=0)
+
+
+def groups_of(names: Sequence[str]) -> list[str]:
     """Names of the groups, in the order of their columns."""
-    return list(dict.fromkeys(name.split(".")[0] for name in features.names))
+    return list(dict.fromkeys(name.split(".")[0] for name in names))
 
 
-def shuffled(features: Features, group: str, seed: int) -> ShuffledFeatures:
-    """Features with one group shuffled among the Gaussians."""
+def choices(names: Sequence[str], together: Groups) -> dict[str, Groups]:
+    """Groups that are left out, by the name of the row."""
+    known = groups_of(names)
+    if unknown := [name for name in together if name not in known]:
+        raise InputError(f"--together {unknown[0]!r}: expected some of {', '.join(known)}")
+    chosen: dict[str, Groups] = {NOTHING: (), **{name: (name,) for name in known}}
+    return chosen | ({" + ".join(together): together} if together else {})
+
+
+def trained_without(cases: Sequence[Examples], source: str, without: Groups) -> Classifier:
+    """A classifier of the cases that do not show a source, without some groups of features."""
+    columns = kept_columns(cases[0].names, without)
+    own = [
+        dataclasses.replace(one, values=one.values[:, columns])
+        for one in cases
+        if source not in one.sources
+    ]
+    networks = tuple(train_network(own, seed=seed) for seed in range(MEMBERS))
+    names = tuple(np.array(cases[0].names)[columns].tolist())
+    return dataclasses.replace(default_classifier(), networks=networks, names=names)
+
+
+def rows_of(
+    host: str, case: BankCase, classifiers: Mapping[str, tuple[Groups, Classifier]]
+) -> Iterator[Row]:
+    """Measure the AUC of a case with each classifier, and without novelty or networks."""
+    features = compute_features(with_finite_scales(case.gaussians))
     own = {field.name: getattr(features, field.name) for field in dataclasses.fields(features)}
-    random = np.random.default_rng([seed, *group.encode()])
-    order = random.permutation(len(features.neighbourhoods.nearest))
-    return ShuffledFeatures(**own, group=group, order=order)
+    means = np.asarray(case.gaussians.means, np.float32)
+    log_odds = {}
+    for name, (without, classifier) in classifiers.items():
+        reduced = ReducedFeatures(**own, without=without)
+        novelty = classifier.novelty * smoothed_novelty(reduced, means)
+        networks = smoothed_log_odds(features, classifier)
+        log_odds[name] = networks + novelty
+        if name == NOTHING:
+            log_odds |= {NO_NOVELTY: networks, NO_NETWORKS: novelty}
+    scores = {name: auc(values, case.labels) for name, values in log_odds.items()}
+    key = {"host": host, "seed": 0, "edit": case.edit, "family": case.family}
+    for name, score in scores.items():
+        yield {**key, "left_out": name, "auc": score, "loss": scores[NOTHING] - score}
 
 
-def variants(
-    features: Features, means: np.ndarray, classifier: Classifier, seed: int
-) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield raw log odds (N,) with all features, with each group shuffled and with parts left out.
-
-    Args:
-        features: Features of N Gaussians.
-        means: Their means, shape (N, 3).
-        classifier: Networks and the weight of the novelty.
-        seed: Seed of the permutations, one for each group.
-    """
-    novelty = classifier.novelty * smoothed_novelty(features, means)
-    networks = smoothed_log_odds(features, classifier)
-    yield NOTHING, networks + novelty
-    for group in groups_of(features):
-        yield group, smoothed_log_odds(shuffled(features, group, seed), classifier) + novelty
-    yield NO_NOVELTY, networks
-    yield NO_NETWORKS, novelty
-
-
-def rows_of(case: Case, classifier: Classifier) -> Iterator[Row]:
-    """Measure the AUC of one case after an export, with every group shuffled in turn."""
-    own = exported(case, EXPORTER)
-    host = jax.tree.map(np.asarray, own.gaussians)
-    rows = np.flatnonzero(usable_rows(host))
-    rows = rows[order_of_leaves(host.means[rows])]  # neighbours are close in memory, thus faster
-    sound, labels = with_finite_scales(host.take(rows)), own.labels[rows]
-    means, whole = np.asarray(sound.means, np.float32), np.nan
-    for name, log_odds in variants(compute_features(sound), means, classifier, case.seed):
-        value = auc(log_odds, labels)
-        whole = value if name == NOTHING else whole
-        yield {**case.key, "shuffled": name, "auc": value, "loss": whole - value}
-
-
-def all_rows(args: UnseenArgs) -> Iterator[Iterator[Row]]:
-    """Measure every case."""
-    if not (args.quick or (args.data / "scenes").is_dir()):
-        raise InputError(f"{args.data}: no scenes; this experiment needs the real ones")
-    classifier = stored(args.classifier) if args.classifier else default_classifier()
-    for case in args.cases():
-        yield rows_of(case, classifier)
+def all_rows(args: ImportanceArgs) -> Iterator[Iterator[Row]]:
+    """Train for one source after the other, and measure its cases."""
+    cases = examples_of(args)
+    chosen = choices(cases[0].names, args.together)
+    source, classifiers = "", {}
+    for host, case in scored_cases(args):
+        if source != source_of(host):
+            source = source_of(host)
+            progress = tqdm(chosen.items(), desc=f"networks without {source}", disable=None)
+            classifiers = {
+                name: (without, trained_without(cases, source, without))
+                for name, without in progress
+            }
+        yield rows_of(host, case, classifiers)
 
 
 def report(rows: Frame) -> str:
-    """The table, the AUC that the losses refer to, and the groups that lose nothing."""
-    whole, losses = where(rows, shuffled=NOTHING), rows[rows.shuffled != NOTHING]
-    groups = losses[~losses.shuffled.isin(LEFT_OUT)].groupby("shuffled", sort=False).loss.mean()
+    """The table, the AUC that the losses refer to, and the groups that add nothing."""
+    whole, losses = where(rows, left_out=NOTHING), rows[rows.left_out != NOTHING]
+    groups = losses[~losses.left_out.isin(PARTS)].groupby("left_out", sort=False).loss.mean()
     idle = groups[groups < SMALL].index
     means = whole.groupby("edit", sort=False).auc.mean()
     return "\n\n".join(
         [
-            "**Loss of AUC per Gaussian when a group of features is shuffled**, unseen scenes and "
-            f"objects after an export ({EXPORTER}), no traces",
-            pivot(losses, "shuffled", "edit", metric="loss", best=None, digits=3),
-            f"{len(idle)} of {len(groups)} groups lose nothing (less than {SMALL} in the mean)"
+            "**Loss of AUC per Gaussian when networks are trained without a group of features**, "
+            "hosts that nothing was trained on, no traces",
+            pivot(_parts_last(losses), "left_out", "edit", metric="loss", best=None, digits=3),
+            f"{len(idle)} of {len(groups)} choices lose nothing (less than {SMALL} in the mean)"
             f"{': ' if len(idle) else ''}{', '.join(idle)}. AUC of the {len(whole)} cases with all "
             f"features: {', '.join(f'{edit} {value:.3f}' for edit, value in means.items())}.",
         ]
     )
 
 
+def _parts_last(losses: Frame) -> Frame:
+    return losses.sort_values("left_out", key=lambda names: names.isin(PARTS), kind="stable")
+
+
 def chart(rows: Frame, path: Path) -> None:
     """Draw the mean loss by group and edit."""
-    losses = rows[rows.shuffled != NOTHING].pivot_table("loss", "shuffled", "edit", sort=False)
+    losses = _parts_last(rows[rows.left_out != NOTHING])
+    losses = losses.pivot_table("loss", "left_out", "edit", sort=False)
     figure, axis = plt.subplots(figsize=(7, 4.6), layout="constrained")
     for k, (edit, values) in enumerate(losses.items()):
         places = np.arange(len(losses)) + 0.27 * (k - 1)
         axis.barh(places, values, 0.25, color=charts.COLORS[k], label=edit)
     axis.set_yticks(range(len(losses)), losses.index)
-    axis.set(xlabel="loss of AUC per Gaussian when the group is shuffled or the part left out")
+    axis.set(xlabel="loss of AUC per Gaussian without the group or part")
     axis.axvline(0, color=charts.BLACK, lw=0.6)
-    axis.axhline(len(losses) - len(LEFT_OUT) - 0.5, color="#999999", lw=0.8, ls=":")
+    axis.axhline(len(losses) - len(PARTS) - 0.5, color="#999999", lw=0.8, ls=":")
     axis.invert_yaxis()
     axis.legend()
     charts.save(figure, path)
 
 
-def main(args: UnseenArgs) -> None:
-    """Measure every group of every case; print and write the table and the chart."""
+def main(args: ImportanceArgs) -> None:
+    """Measure every group on every case; print and write the table and the chart."""
     rows = measured(args, "importance", all_rows(args))
     text = report(rows)
     print(text)

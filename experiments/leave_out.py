@@ -134,24 +134,36 @@ def report(rows: Frame) -> str:
         own = where(rows, left_out=name)
         scores = [f"{where(own, edit=edit).auc.mean():.3f}" for edit in EDITS]
         lines.append([name, f"{own.cases.mean():.0f}", *scores, f"{own.auc.mean():.3f}"])
-    counted = ", ".join(f"{where(own, edit=edit).shape[0]} of {edit}" for edit in EDITS)
+    scored = where(rows, left_out="host")
+    counted = ", ".join(f"{int((scored.edit == edit).sum())} of {edit}" for edit in EDITS)
     table = markdown(["left out", "learned of", *EDITS, "all"], lines)
     return f"**AUC per Gaussian by what is left out of the training**, cases: {counted}\n\n{table}"
 
 
+def examples_of(args: LeaveOutArgs) -> list[Examples]:
+    """All training cases, those of a host together."""
+    jobs = itertools.product(hosts(args.bank, args.data), EDITS)
+    made = [
+        make_examples(host, edit, seed, args.bank, args.data, args.keep)
+        for host, edit in tqdm(list(jobs), desc="examples", disable=None)
+        for seed in training_seeds(host)
+    ]
+    return [one for one in made if one.share > 0]
+
+
+def scored_cases(args: LeaveOutArgs) -> Iterator[tuple[str, BankCase]]:
+    """Whole cases with their hosts, those of a source together."""
+    names = sorted(hosts(args.bank, args.data), key=source_of)
+    for host, edit in tqdm(list(itertools.product(names, EDITS)), desc="cases", disable=None):
+        if case := stored_case(host, edit, SCORED, args.bank, args.data, args.keep):
+            yield host, case
+
+
 def all_rows(args: LeaveOutArgs) -> Iterator[Iterator[Row]]:
     """Train and measure case by case."""
-    names, place = hosts(args.bank, args.data), (args.bank, args.data, args.keep)
-    jobs = list(itertools.product(names, EDITS))
-    made = [
-        make_examples(*job, seed, *place)
-        for job in tqdm(jobs, desc="examples", disable=None)
-        for seed in training_seeds(job[0])
-    ]
-    trained = Trained([one for one in made if one.share > 0])
-    for host, edit in tqdm(jobs, desc="cases", disable=None):
-        if case := stored_case(host, edit, SCORED, *place):
-            yield rows_of(host, case, trained)
+    trained = Trained(examples_of(args))
+    for host, case in scored_cases(args):
+        yield rows_of(host, case, trained)
 
 
 def main(args: LeaveOutArgs) -> None:

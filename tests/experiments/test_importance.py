@@ -1,51 +1,62 @@
+import dataclasses
+
 import importance
 import numpy as np
 import pandas as pd
+import pytest
 from cases import QUICK, load_scene
+from learned_cases import examples
 
-from gsc_jax.forensics.classifier import combined_log_odds, default_classifier
 from gsc_jax.forensics.features import compute_features, in_group
+from gsc_jax.scene import InputError
 
 
-def small_scene():
-    gaussians = load_scene(QUICK).gaussians.take(np.arange(2_000))
-    return compute_features(gaussians), np.asarray(gaussians.means, np.float32)
+def test_columns_of_a_group_are_0_and_all_others_stay():
+    features = compute_features(load_scene(QUICK).gaussians.take(np.arange(2_000)))
+    own = {field.name: getattr(features, field.name) for field in dataclasses.fields(features)}
+    reduced = importance.ReducedFeatures(**own, without=("colour", "copies"))
+    before, after = (np.concatenate(list(some.own()), axis=1) for some in (features, reduced))
+    names = features.names[: before.shape[1]]
+    gone = in_group(names, "colour") | in_group(names, "copies")
+    assert (after[:, gone] == 0).all()
+    np.testing.assert_array_equal(after[:, ~gone], before[:, ~gone])
+    np.testing.assert_array_equal(reduced.rows(), features.rows())
 
 
-def test_only_the_columns_of_the_group_are_shuffled():
-    features, _ = small_scene()
-    shuffled = importance.shuffled(features, "colour", seed=3)
-    values, changed = features.rows(), shuffled.rows()
-    colour = in_group(features.names, "colour")
-    np.testing.assert_array_equal(changed[:, ~colour], values[:, ~colour])
-    np.testing.assert_array_equal(changed[:, colour], values[shuffled.order][:, colour])
-    assert (np.sort(shuffled.order) == np.arange(len(values))).all()
-    assert not np.array_equal(changed, values)
-    np.testing.assert_array_equal(shuffled.rows(slice(100, 300)), changed[100:300])
+def test_networks_are_trained_without_the_columns_and_the_source(monkeypatch):
+    seen = []
+    monkeypatch.setattr(importance, "train_network", lambda own, seed: seen.append(own) or (seed,))
+    names = ("size.0.own", "colour.0.own", "size.0.mean")
+    cases = [dataclasses.replace(examples(host, 0), names=names) for host in ("a", "b", "b-0-mcmc")]
+    classifier = importance.trained_without(cases, "a", ("size",))
+    assert classifier.names == ("colour.0.own",)
+    assert len(classifier.networks) == importance.MEMBERS
+    for own in seen:
+        assert [one.host for one in own] == ["b", "b-0-mcmc"]
+        for one, case in zip(own, cases[1:], strict=True):
+            np.testing.assert_array_equal(one.values, case.values[:, 1:2])
 
 
-def test_variants_begin_with_the_log_odds_of_the_package_and_end_with_their_parts():
-    features, means = small_scene()
-    classifier = default_classifier()
-    found = dict(importance.variants(features, means, classifier, seed=0))
-    whole = combined_log_odds(features, means, classifier)
-    np.testing.assert_array_equal(found[importance.NOTHING], whole)
-    parts = found[importance.NO_NOVELTY] + found[importance.NO_NETWORKS]
-    np.testing.assert_array_equal(parts, whole)
-    assert list(found) == [
-        importance.NOTHING,
-        *importance.groups_of(features),
-        *importance.LEFT_OUT,
-    ]
+def test_groups_are_left_out_alone_and_together():
+    names = ("size.0.own", "colour.0.own", "colour.1.own")
+    assert importance.choices(names, ("size", "colour")) == {
+        importance.NOTHING: (),
+        "size": ("size",),
+        "colour": ("colour",),
+        "size + colour": ("size", "colour"),
+    }
+    with pytest.raises(InputError, match="'colours': expected some of size, colour"):
+        importance.choices(names, ("colours",))
 
 
 def test_a_part_that_is_left_out_is_not_counted_among_the_groups():
-    losses = {"nothing": 0.0, "size": 0.1, "opacity": -0.01, importance.NO_NOVELTY: 0.0}
+    losses = {"nothing": 0.0, importance.NO_NOVELTY: 0.0, "size": 0.1, "opacity": -0.01}
     rows = [
-        {"edit": "removal", "seed": 0, "shuffled": name, "auc": 0.9 - loss, "loss": loss}
+        {"edit": "removal", "seed": 0, "left_out": name, "auc": 0.9 - loss, "loss": loss}
         for name, loss in losses.items()
     ]
     text = importance.report(pd.DataFrame(rows))
-    assert "1 of 2 groups lose nothing (less than 0.0005 in the mean): opacity." in text
+    assert "1 of 2 choices lose nothing (less than 0.001 in the mean): opacity." in text
     assert "| nothing |" not in text
+    assert text.index("| opacity |") < text.index("| novelty |")
     assert text.endswith("AUC of the 1 cases with all features: removal 0.900.")

@@ -11,6 +11,7 @@ import train_classifier as train
 from bank import FIRST_SEED, NO_EDIT, PROGRAM_SEEDS, bank_case
 from classifier_examples import Examples
 from forensics_cases import room
+from learned_cases import examples
 from scipy.special import expit
 
 from gsc_jax.benchmark.metrics import auc
@@ -27,24 +28,6 @@ from gsc_jax.scene import InputError
 
 SCENES = ("a", "b", "c")
 QUICK_SEED = FIRST_SEED + PROGRAM_SEEDS
-
-
-def examples(host: str, seed: int, *, pasted_from: str | None = None) -> Examples:
-    rng = np.random.default_rng(seed)
-    labels = rng.random(400) < 0.3
-    values = rng.normal(size=(400, 3))
-    values[:, 0] += 2 * labels
-    return Examples(
-        host=host,
-        edit=("removal", "modification")[seed % 2],
-        sources=frozenset({host, pasted_from or host}),
-        family="quick",
-        exporter="float",
-        values=values.astype(np.float16),
-        labels=labels,
-        share=0.1,
-        names=("x", "y", "z"),
-    )
 
 
 def scene_output(edit: str, rng: np.random.Generator) -> train.SceneOutput:

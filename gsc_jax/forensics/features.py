@@ -6,7 +6,6 @@ it over the neighbours, standardised by median and MAD of the scene.
 """
 
 import dataclasses
-import functools
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
@@ -16,7 +15,6 @@ from gsc_jax.evidence.storage import ArrayStore
 from gsc_jax.forensics.copy_move import APPEARANCE_RADIUS, nearest_duplicates
 from gsc_jax.render.spherical_harmonics import Y0
 from gsc_jax.scene import Gaussians
-from gsc_jax.scene.gaussians import rotation_matrices
 from gsc_jax.scene.neighbours import Neighbourhoods, neighbourhoods
 from gsc_jax.scene.parallel import in_blocks, workers
 from gsc_jax.scene.statistics import median_and_mad
@@ -145,7 +143,6 @@ def _groups(
         "spacing": np.maximum(ends, -MAX_DEVIATION),
         "opacity": np.clip(np.asarray(gaussians.logit_opacities), -7, 7)[:, None],
         **_colour_groups(np.asarray(gaussians.sh), around),
-        **_direction_groups(gaussians, around),
     }
 
 
@@ -162,19 +159,8 @@ def _colour_groups(sh: np.ndarray, around: Neighbourhoods) -> dict[str, np.ndarr
     return {
         "colour": np.column_stack([tone, saturation, relative, outside]),
         "contrast": np.column_stack([np.abs(contrast), np.hypot(*chromatic)]),
-        "shading": _shading(lightness, chroma, around),
         "harmonics": in_blocks(_harmonics, sh[:, 1:]),
     }
-
-
-def _shading(lightness: np.ndarray, chroma: np.ndarray, around: Neighbourhoods) -> np.ndarray:
-    """Chroma extrapolated to lightness 0, where shades of one material have none, (N, 3)."""
-    products = chroma * lightness[:, None]
-    values = np.column_stack([lightness, lightness * lightness, chroma, products])
-    first, second, c1, c2, c1l, c2l = (around.mean(around.mean(values))).T
-    variance = second - first * first + 1e-3
-    left = [c - (cl - c * first) / variance * first for c, cl in ((c1, c1l), (c2, c2l))]
-    return np.column_stack([*left, np.hypot(*left)])
 
 
 def _harmonics(rest: np.ndarray) -> np.ndarray:
@@ -185,47 +171,6 @@ def _harmonics(rest: np.ndarray) -> np.ndarray:
     parts = rest, coloured, rest[:, :3]
     energy, hue, first = (np.log(1e-3 + np.sqrt(np.mean(p * p, axis=(1, 2)))) for p in parts)
     return np.column_stack([energy, hue - energy, first - energy])
-
-
-def _direction_groups(gaussians: Gaussians, around: Neighbourhoods) -> dict[str, np.ndarray]:
-    """Flatness of the surroundings, and how the axes of Gaussians are oriented in them."""
-    rows = np.arange(len(gaussians))
-    axes = in_blocks(lambda some: _extreme_axes(gaussians.take(some)), rows).swapaxes(0, 1)
-    means = np.asarray(gaussians.means, np.float32)
-    covariance = in_blocks(functools.partial(_covariance, means.T.copy()), around.nearest)
-    squared = np.einsum("nij,nij->n", covariance, covariance)
-    volume = np.log(np.maximum(np.linalg.det(covariance), 1e-9))
-    along = [np.einsum("ni,nij,nj->n", axis, covariance, axis) for axis in axes]
-    return {
-        "surface": np.column_stack([squared, volume, *along]),
-        "agreement": np.column_stack([_agreement(axis, around) for axis in axes]),
-    }
-
-
-def _extreme_axes(gaussians: Gaussians) -> np.ndarray:
-    """Directions of the shortest and of the longest axis, shape (N, 2, 3)."""
-    logs = np.asarray(gaussians.log_scales)
-    ends = np.stack([logs.argmin(axis=1), logs.argmax(axis=1)], axis=1)[:, :, None]
-    return np.take_along_axis(rotation_matrices(gaussians).swapaxes(1, 2), ends, axis=1)
-
-
-def _covariance(columns: np.ndarray, nearest: np.ndarray) -> np.ndarray:
-    """Covariance, scaled to a trace of 1, of K points each, whose rows are given (N, K), (N, 3, 3).
-
-    `columns` are the coordinates, (3, points).
-    """
-    near = [column[nearest] for column in columns]
-    offsets = [values - values.mean(axis=1, keepdims=True) for values in near]
-    sums = [np.einsum("nk,nk->n", one, other) for one in offsets for other in offsets]
-    covariance = np.stack(sums, axis=1).reshape(-1, 3, 3) / nearest.shape[1]
-    return covariance / (np.trace(covariance, axis1=1, axis2=2) + 1e-30)[:, None, None]
-
-
-def _agreement(axis: np.ndarray, around: Neighbourhoods) -> np.ndarray:
-    """Mean squared cosine between an axis and those of the neighbours, shape (N,)."""
-    pairs = [(i, j) for i in range(3) for j in range(i, 3)]
-    products = np.column_stack([axis[:, i] * axis[:, j] * (1 + (i != j)) ** 0.5 for i, j in pairs])
-    return (around.mean(products) * products).sum(axis=1)
 
 
 def duplicate_closeness(distances: np.ndarray) -> np.ndarray:

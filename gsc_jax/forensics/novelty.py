@@ -18,17 +18,14 @@ from gsc_jax.scene.neighbours import neighbourhoods, parts
 from gsc_jax.scene.parallel import workers
 from gsc_jax.scene.statistics import principal_axes
 
-GROUPS = (
-    ("size", "anisotropy", "spacing", "opacity"),
-    ("colour", "contrast", "shading"),
-    ("harmonics",),
-    ("surface", "agreement"),
-)
-"""Groups of features that are compared together; all of them together are a fifth comparison."""
+SHAPE, COLOUR = ("size", "anisotropy", "spacing", "opacity"), ("colour", "contrast")
+COMPARED = SHAPE, (*SHAPE, *COLOUR)
+"""Groups of features of each comparison. Colours or harmonics alone differ where nothing was edited
+as much as where something was."""
 PLACE, MAX_PLACES = 16, 2**13
 """Gaussians of a place at most, unless there are more than `MAX_PLACES` places."""
-COMPONENTS = 6
-"""Principal components of the statistics of a group that are compared."""
+COMPONENTS = 10
+"""Principal components of the statistics that are compared."""
 CANDIDATES = 96
 """Places with the nearest statistics, among which one elsewhere is sought."""
 NEARBY_SHARE = 0.2
@@ -70,8 +67,8 @@ def novelty(features: Features, means: np.ndarray) -> np.ndarray:
 
 
 def _statistics(mean: np.ndarray, spread: np.ndarray, names: Sequence[str]) -> Iterator[np.ndarray]:
-    """Yield mean and spread (P, D) of the numbers around each place by group, standardised."""
-    for groups in (*GROUPS, sum(GROUPS, ())):
+    """Yield mean and spread (P, D) of the numbers around each place by comparison, standardised."""
+    for groups in COMPARED:
         columns = np.any([in_group(names, group) for group in groups], axis=0)
         values = np.column_stack([mean[:, columns], spread[:, columns]])
         yield (values - values.mean(axis=0)) / (values.std(axis=0) + 1e-3)
@@ -80,7 +77,8 @@ def _statistics(mean: np.ndarray, spread: np.ndarray, names: Sequence[str]) -> I
 def _novelty(statistics: np.ndarray, centers: np.ndarray, radius: np.ndarray) -> np.ndarray:
     """Novelty of places by their statistics (P, D), centres (P, 3) and radii (P, 1), shape (P,).
 
-    The distance to the most similar place elsewhere, and how many of the `CANDIDATES` are nearby.
+    The logarithm of the distance to the most similar place elsewhere. If none of the `CANDIDATES`
+    lies elsewhere, it is farther away than all of them.
     """
     described = (statistics @ principal_axes(statistics, COMPONENTS)).astype(np.float32)
     distances, candidates = KDTree(described).query(described, k=min(CANDIDATES, len(centers)))
@@ -88,4 +86,4 @@ def _novelty(statistics: np.ndarray, centers: np.ndarray, radius: np.ndarray) ->
     first = np.where(elsewhere.any(axis=1), elsewhere.argmax(axis=1), -1)
     distance = distances[np.arange(len(centers)), first]
     ratio = np.log(distance / (np.median(distance) + 1e-12) + 1e-3)
-    return np.clip(ratio, -MAX_LOG_RATIO, MAX_LOG_RATIO) + 1 - 2 * elsewhere.mean(axis=1)
+    return np.clip(ratio, -MAX_LOG_RATIO, MAX_LOG_RATIO)

@@ -27,7 +27,7 @@ from scipy.optimize import minimize
 from tqdm import tqdm
 
 from gsc_jax.benchmark.tamper import EDITS
-from gsc_jax.forensics.calibration import peak_log_odds, scene_calibration
+from gsc_jax.forensics.calibration import peak_log_odds
 from gsc_jax.forensics.classifier import (
     Classifier,
     Layers,
@@ -246,7 +246,7 @@ def calibrated(classifier: Classifier, outputs: Sequence[SceneOutput]) -> Classi
     classifier = dataclasses.replace(
         classifier, novelty=float(novelty / factor), calibration=(float(factor), float(shift))
     )
-    peaks = np.array([[_calibrated_peak(one, classifier)] for one in outputs])
+    peaks = np.array([[_prominence(one, classifier)] for one in outputs])
     is_edited = np.array([one.edit != NO_EDIT for one in outputs])
     # The prior probability that a scene was edited is one half.
     weights = np.where(is_edited, 1 / is_edited.sum(), 1 / (~is_edited).sum())
@@ -268,10 +268,10 @@ def _gaussian_fit(edited: Sequence[SceneOutput]) -> np.ndarray:
     return logistic_fit(columns, targets, np.concatenate(weights))
 
 
-def _calibrated_peak(output: SceneOutput, classifier: Classifier) -> float:
+def _prominence(output: SceneOutput, classifier: Classifier) -> float:
+    """Calibrated peak of the log odds above their median."""
     raw = output.raw(classifier)
-    factor, shift = scene_calibration(raw, classifier)
-    return factor * peak_log_odds(raw, output.means) + shift
+    return classifier.calibration[0] * (peak_log_odds(raw, output.means) - float(np.median(raw)))
 
 
 def save(path: Path, classifier: Classifier) -> None:

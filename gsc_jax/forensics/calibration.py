@@ -51,15 +51,15 @@ def calibrate(
 
     `known` is the mask of these M among all N Gaussians, shape (N,).
     """
-    base = peak = classifier.base
+    base = peak = middle = classifier.base
     log_odds = np.full(len(known), base, np.float32)
     if len(raw):
         factor, shift = scene_calibration(raw, classifier)
         calibrated = np.clip(factor * raw + shift, -MAX_LOG_ODDS, MAX_LOG_ODDS)
         log_odds[known] = calibrated
-        peak = peak_log_odds(calibrated, means)
+        peak, middle = peak_log_odds(calibrated, means), float(np.median(calibrated))
     factor, shift = classifier.scene
-    probability = float(expit(factor * peak + shift))
+    probability = float(expit(factor * (peak - middle) + shift))
     return Classification(
         known=known, log_odds=log_odds, base=base, peak=peak, scene_probability=probability
     )

@@ -39,7 +39,8 @@ class Classifier:
         novelty: Weight of the novelty in the raw log odds.
         calibration: Factor and shift from raw log odds to log odds of a Gaussian.
         base: Log odds that a Gaussian of an edited scene is tampered, without any evidence.
-        scene: Factor and shift from the peak log odds of a scene to log odds that it is edited.
+        scene: Factor and shift from the peak log odds of a scene, above their median, to log odds
+            that it is edited.
     """
 
     networks: tuple[Layers, ...]

@@ -48,3 +48,10 @@ def test_stable_level_moves_with_the_log_odds(seed: int, edited: int, shift: flo
     level = stable_level(log_odds, -3, 10)
     moved = stable_level(factor * log_odds + shift, factor * -3 + shift, factor * 10)
     assert moved == pytest.approx(factor * level + shift, abs=factor * 10 * 0.02)
+
+
+@pytest.mark.parametrize("shift", [-3.0, 2.0])
+def test_the_scene_probability_does_not_depend_on_where_the_log_odds_are(shift):
+    raw, classifier = np.random.default_rng(1).normal(-4, 1, 300), default_classifier()
+    one, other = (calibrate(values, MEANS, ALL, classifier) for values in (raw, raw + shift))
+    assert one.scene_probability == pytest.approx(other.scene_probability, rel=1e-3)

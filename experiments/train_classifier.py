@@ -11,6 +11,7 @@ too, and is slightly less sure than the ensemble; so is the weight of the novelt
 
 import dataclasses
 import itertools
+import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -46,12 +47,14 @@ MEMBERS = 3
 """Networks of an ensemble."""
 FALSE_ALARMS = 0.05
 """Share of the authentic cases of the calibration whose scene probability is 0.5 or more."""
-TAMPERED_SHARE = 0.3
-"""Share of a batch that is tampered."""
+CASES, TAMPERED, AUTHENTIC = 8, 76, 180
+"""Cases of a batch, and tampered and authentic Gaussians of each."""
+CENTRING = 0.01
+"""Weight of the squared mean log odds of the authentic Gaussians of a scene."""
 HIDDEN = (64, 32)
 """Units of the hidden layers."""
-STEPS, BATCH = 1000, 2048
-LEARNING_RATE, WEIGHT_DECAY, DROPOUT, NOISE = 2e-3, 1e-2, 0.2, 0.3
+STEPS = 1000
+LEARNING_RATE, WEIGHT_DECAY, DROPOUT, NOISE = 2e-3, 1e-2, 0.4, 0.3
 
 Networks = tuple[Layers, ...]
 
@@ -77,41 +80,47 @@ class Args:
 
 def train_network(cases: Sequence[Examples], seed: int) -> Layers:
     """Train one network; each kind of edit has equal weight, and within it each case."""
-    values = np.concatenate([case.values for case in cases])
-    labels = np.concatenate([case.labels for case in cases])
-    weights, rng = _row_weights(cases), np.random.default_rng(seed)
-    cumulative = np.cumsum(weights) / weights.sum()
-    layers = _initial_layers(rng, (values.shape[1], *HIDDEN, 1))
+    weights, rng = balanced_weights([case.edit for case in cases]), np.random.default_rng(seed)
+    layers = _initial_layers(rng, (cases[0].values.shape[1], *HIDDEN, 1))
     schedule = optax.cosine_decay_schedule(LEARNING_RATE, STEPS)
     optimiser = optax.adamw(schedule, weight_decay=WEIGHT_DECAY)
     state = optimiser.init(layers)
 
     @jax.jit
-    def step(layers, state, values, labels, key):
-        def loss(layers):
-            log_odds = noisy_log_odds(layers, values, key)
-            return optax.sigmoid_binary_cross_entropy(log_odds, labels).mean()
-
-        updates, state = optimiser.update(jax.grad(loss)(layers), state, layers)
+    def step(layers, state, values, key):
+        updates, state = optimiser.update(jax.grad(scene_loss)(layers, values, key), state, layers)
         return optax.apply_updates(layers, updates), state
 
     for k in range(STEPS):
-        rows = np.minimum(np.searchsorted(cumulative, rng.random(BATCH)), len(labels) - 1)
+        some = rng.choice(len(cases), CASES, p=weights)
+        values = np.stack([_sample(cases[one], rng) for one in some])
         key = jax.random.key(seed * STEPS + k, impl="unsafe_rbg")
-        batch = values[rows].astype(np.float32), labels[rows].astype(np.float32)
         with jax.numpy_dtype_promotion("standard"):  # optax mixes integers and floats
-            layers, state = step(layers, state, *batch, key)
+            layers, state = step(layers, state, values, key)
     return jax.tree.map(np.asarray, layers)
 
 
-def _row_weights(cases: Sequence[Examples]) -> np.ndarray:
-    share, weights = TAMPERED_SHARE, balanced_weights([case.edit for case in cases])
-    return np.concatenate(
-        [
-            weight * np.where(c.labels, share / c.labels.sum(), (1 - share) / (~c.labels).sum())
-            for c, weight in zip(cases, weights, strict=True)
-        ]
+def _sample(case: Examples, rng: np.random.Generator) -> np.ndarray:
+    """Features of `TAMPERED` tampered Gaussians of a case, then of `AUTHENTIC` ones, float32."""
+    rows = (
+        rng.choice(np.flatnonzero(case.labels), TAMPERED),
+        rng.choice(np.flatnonzero(~case.labels), AUTHENTIC),
     )
+    return case.values[np.concatenate(rows)].astype(np.float32)
+
+
+def scene_loss(layers: Layers, values: jax.Array, key: jax.Array) -> jax.Array:
+    """Cross entropy within scenes of features (scenes, Gaussians, F), in the order of `_sample`.
+
+    The log odds are those above the mean of the authentic Gaussians of the scene: what a whole
+    capture has in common tells nothing about its parts, and differs in the next one.
+    """
+    log_odds = noisy_log_odds(layers, values.reshape(-1, values.shape[2]), key)
+    log_odds = log_odds.reshape(values.shape[:2])
+    middle = log_odds[:, TAMPERED:].mean(axis=1, keepdims=True)
+    above = log_odds - middle + math.log(TAMPERED / AUTHENTIC)
+    labels = jnp.broadcast_to(jnp.arange(values.shape[1]) < TAMPERED, above.shape)
+    return optax.sigmoid_binary_cross_entropy(above, labels).mean() + CENTRING * (middle**2).mean()
 
 
 def balanced_weights(kinds: Sequence[str]) -> np.ndarray:

@@ -5,9 +5,10 @@
     python experiments/importance.py --keep .cues [--together surface agreement] [--out docs]
 
 For each source and each group, networks are trained on the cases of the other sources without the
-columns of the group, and score cases of the source; novelty is computed without the group, too. The
-last rows leave out novelty and the networks. Groups may replace each other: two that lose nothing
-alone may lose something together, which `--together` measures.
+columns of the group, and score cases of the source; novelty and discriminant are computed without
+the group, too. The last rows leave out novelty, the networks, and the discriminant. Groups may
+replace each other: two that lose nothing alone may lose something together, which `--together`
+measures.
 """
 
 import dataclasses
@@ -31,12 +32,15 @@ from gsc_jax.forensics.classifier import (
     default_classifier,
     smoothed_log_odds,
     smoothed_novelty,
+    with_discriminant,
 )
 from gsc_jax.forensics.features import Features, compute_features, in_group, with_finite_scales
+from gsc_jax.forensics.places import find_places
 from gsc_jax.scene import InputError
 
 NOTHING, NO_NOVELTY, NO_NETWORKS = "nothing", "novelty", "networks"
-PARTS = NO_NOVELTY, NO_NETWORKS
+NO_DISCRIMINANT = "discriminant"
+PARTS = NO_NOVELTY, NO_NETWORKS, NO_DISCRIMINANT
 MEMBERS = 2
 """Networks of an ensemble: AUC varies between those of other seeds."""
 SMALL = 0.001
@@ -109,18 +113,21 @@ def trained_without(cases: Sequence[Examples], source: str, without: Groups) -> 
 def rows_of(
     host: str, case: BankCase, classifiers: Mapping[str, tuple[Groups, Classifier]]
 ) -> Iterator[Row]:
-    """Measure the AUC of a case with each classifier, and without novelty or networks."""
+    """Measure the AUC of a case with each classifier, and without each part of the first."""
     features = compute_features(with_finite_scales(case.gaussians))
     own = {field.name: getattr(features, field.name) for field in dataclasses.fields(features)}
     means = np.asarray(case.gaussians.means, np.float32)
     log_odds = {}
     for name, (without, classifier) in classifiers.items():
         reduced = ReducedFeatures(**own, without=without)
-        novelty = classifier.novelty * smoothed_novelty(reduced, means)
+        places = find_places(reduced, means)
+        novelty = classifier.novelty * smoothed_novelty(places, features.neighbourhoods)
         networks = smoothed_log_odds(features, classifier)
-        log_odds[name] = networks + novelty
+        log_odds[name] = with_discriminant(networks + novelty, places)
         if name == NOTHING:
-            log_odds |= {NO_NOVELTY: networks, NO_NETWORKS: novelty}
+            log_odds[NO_DISCRIMINANT] = networks + novelty
+            log_odds[NO_NOVELTY] = with_discriminant(networks, places)
+            log_odds[NO_NETWORKS] = with_discriminant(novelty, places)
     scores = {name: auc(values, case.labels) for name, values in log_odds.items()}
     key = {"host": host, "seed": 0, "edit": case.edit, "family": case.family}
     for name, score in scores.items():

@@ -32,8 +32,10 @@ from gsc_jax.forensics.classifier import (
     default_classifier,
     smoothed_log_odds,
     smoothed_novelty,
+    with_discriminant,
 )
 from gsc_jax.forensics.features import compute_features, with_finite_scales
+from gsc_jax.forensics.places import find_places
 
 SCORED = FIRST_SEED + 1
 """Seed of the cases that are scored: whole hosts, also edited by programs."""
@@ -114,15 +116,18 @@ def rows_of(host: str, case: BankCase, trained: Trained) -> Iterator[Row]:
     features = compute_features(with_finite_scales(case.gaussians))
     classifier = default_classifier()
     means = np.asarray(case.gaussians.means, np.float32)
-    novelty = classifier.novelty * smoothed_novelty(features, means)
+    places = find_places(features, means)
+    novelty = classifier.novelty * smoothed_novelty(places, features.neighbourhoods)
     key = {"host": host, "edit": case.edit, "family": case.family, "export": case.exporter}
     for name, left_out in LEFT_OUT.items():
         learned = learned_of(trained.cases, host, case, left_out)
         if len(learned) >= LEAST:
             one = dataclasses.replace(classifier, networks=(trained.network(learned),))
-            score = auc(smoothed_log_odds(features, one) + novelty, case.labels)
+            raw = with_discriminant(smoothed_log_odds(features, one) + novelty, places)
+            score = auc(raw, case.labels)
             yield key | {"left_out": name, "cases": len(learned), "auc": score}
-    yield key | {"left_out": "no network", "cases": 0, "auc": auc(novelty, case.labels)}
+    score = auc(with_discriminant(novelty, places), case.labels)
+    yield key | {"left_out": "no network", "cases": 0, "auc": score}
 
 
 def report(rows: Frame) -> str:

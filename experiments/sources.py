@@ -41,8 +41,10 @@ from gsc_jax.forensics.classifier import (
     default_classifier,
     smoothed_log_odds,
     smoothed_novelty,
+    with_discriminant,
 )
 from gsc_jax.forensics.features import compute_features, with_finite_scales
+from gsc_jax.forensics.places import find_places
 
 COUNTS = (1, 2, 4, 8, 16, 28)
 """Numbers of hosts that networks are trained on, as far as there are hosts of other sources."""
@@ -106,12 +108,15 @@ def rows_of(
     features = compute_features(with_finite_scales(case.gaussians))
     classifier = default_classifier()
     means = np.asarray(case.gaussians.means, np.float32)
-    novelty = classifier.novelty * smoothed_novelty(features, means)
+    places = find_places(features, means)
+    novelty = classifier.novelty * smoothed_novelty(places, features.neighbourhoods)
     key = {"source": source, "host": host, "method": edit, "seed": seed}
-    yield key | {"hosts": 0, "names": "", "auc": auc(novelty, case.labels)}
+    score = auc(with_discriminant(novelty, places), case.labels)
+    yield key | {"hosts": 0, "names": "", "auc": score}
     for names, layers in networks[source].items():
         one = dataclasses.replace(classifier, networks=(layers,))
-        score = auc(smoothed_log_odds(features, one) + novelty, case.labels)
+        raw = with_discriminant(smoothed_log_odds(features, one) + novelty, places)
+        score = auc(raw, case.labels)
         yield key | {"hosts": len(names), "names": " ".join(sorted(names)), "auc": score}
 
 

@@ -34,8 +34,10 @@ from gsc_jax.forensics.classifier import (
     Layers,
     smoothed_log_odds,
     smoothed_novelty,
+    with_discriminant,
 )
 from gsc_jax.forensics.features import MAX_DEVIATION, compute_features, with_finite_scales
+from gsc_jax.forensics.places import Places, find_places
 from gsc_jax.io.files import atomic
 from gsc_jax.scene import InputError
 
@@ -198,17 +200,19 @@ def make_fold(
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class SceneOutput:
-    """Output of the networks, novelty and labels (N,) of a whole case, and its centres (N, 3)."""
+    """Output of the networks, novelty and labels (N,) of a whole case with centres (N, 3)."""
 
     edit: str
     networks: np.ndarray
     novelty: np.ndarray
     labels: np.ndarray
     means: np.ndarray
+    places: Places | None
 
     def raw(self, classifier: Classifier) -> np.ndarray:
         """Raw log odds, as in `combined_log_odds`, shape (N,)."""
-        return self.networks + classifier.novelty * self.novelty
+        before = self.networks + classifier.novelty * self.novelty
+        return with_discriminant(before, self.places)
 
 
 Outputs = dict[str | None, SceneOutput]
@@ -219,7 +223,8 @@ def scene_outputs(case: BankCase, host: str, folds: Sequence[Fold]) -> Outputs:
     """Outputs for a whole case by the held-out scene of each fold that did not see its sources."""
     features = compute_features(with_finite_scales(case.gaussians))
     means = np.asarray(case.gaussians.means, np.float32)
-    novelty, outputs = smoothed_novelty(features, means), {}
+    places, outputs = find_places(features, means), {}
+    novelty = smoothed_novelty(places, features.neighbourhoods)
     for fold in folds:
         if fold.heldout not in case.sources:
             one = dataclasses.replace(fold.classifier, networks=(fold.others[source_of(host)],))
@@ -229,6 +234,7 @@ def scene_outputs(case: BankCase, host: str, folds: Sequence[Fold]) -> Outputs:
                 novelty=novelty,
                 labels=case.labels,
                 means=means,
+                places=places,
             )
     return outputs
 
@@ -251,36 +257,41 @@ def logistic_fit(
 
 def calibrated(classifier: Classifier, outputs: Sequence[SceneOutput]) -> Classifier:
     """The classifier with the weight of the novelty, calibrated for Gaussians and for scenes."""
-    factor, novelty, shift = _gaussian_fit([one for one in outputs if one.edit != NO_EDIT])
-    classifier = dataclasses.replace(
-        classifier, novelty=float(novelty / factor), calibration=(float(factor), float(shift))
-    )
-    peaks = np.array([[_prominence(one, classifier)] for one in outputs])
+    edited = [one for one in outputs if one.edit != NO_EDIT]
+    apart = [np.column_stack([one.networks, one.novelty]) for one in edited]
+    factor, novelty, _ = _gaussian_fit(edited, apart)
+    classifier = dataclasses.replace(classifier, novelty=float(novelty / factor))
+    raw = [one.raw(classifier) for one in outputs]
+    own = [values[:, None] for values, one in zip(raw, outputs, strict=True) if one.edit != NO_EDIT]
+    factor, shift = _gaussian_fit(edited, own)
     is_edited = np.array([one.edit != NO_EDIT for one in outputs])
+    peaks = np.array(
+        [
+            factor * (peak_log_odds(values, one.means) - float(np.median(values)))
+            for values, one in zip(raw, outputs, strict=True)
+        ]
+    )
     # The prior probability that a scene was edited is one half.
     weights = np.where(is_edited, 1 / is_edited.sum(), 1 / (~is_edited).sum())
-    factor = float(logistic_fit(peaks, is_edited, weights, damping=1e-2)[0])
+    scale = float(logistic_fit(peaks[:, None], is_edited, weights, damping=1e-2)[0])
     level = float(np.quantile(peaks[~is_edited], 1 - FALSE_ALARMS))
-    return dataclasses.replace(classifier, scene=(factor, -factor * level))
+    return dataclasses.replace(
+        classifier,
+        calibration=(float(factor), float(shift)),
+        scene=(scale, -scale * level),
+    )
 
 
-def _gaussian_fit(edited: Sequence[SceneOutput]) -> np.ndarray:
-    """Factors of networks and novelty, and shift, from a sample of each edited case."""
+def _gaussian_fit(edited: Sequence[SceneOutput], columns: Sequence[np.ndarray]) -> np.ndarray:
+    """Factors of columns (N, D) for each edited case, and shift, from a sample of each."""
     values, labels, weights = [], [], []
     balanced = balanced_weights([one.edit for one in edited])
-    for k, (one, weight) in enumerate(zip(edited, balanced, strict=True)):
+    for k, (one, own, weight) in enumerate(zip(edited, columns, balanced, strict=True)):
         rows = np.random.default_rng(k).permutation(len(one.labels))[:SAMPLE]
-        values.append(np.column_stack([one.networks, one.novelty])[rows])
+        values.append(own[rows])
         labels.append(one.labels[rows])
         weights.append(np.full(len(rows), weight / len(rows)))
-    columns, targets = np.concatenate(values), np.concatenate(labels)
-    return logistic_fit(columns, targets, np.concatenate(weights))
-
-
-def _prominence(output: SceneOutput, classifier: Classifier) -> float:
-    """Calibrated peak of the log odds above their median."""
-    raw = output.raw(classifier)
-    return classifier.calibration[0] * (peak_log_odds(raw, output.means) - float(np.median(raw)))
+    return logistic_fit(np.concatenate(values), np.concatenate(labels), np.concatenate(weights))
 
 
 def save(path: Path, classifier: Classifier) -> None:

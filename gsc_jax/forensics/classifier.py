@@ -1,8 +1,9 @@
-"""Classifier of Gaussians: raw log odds from small networks and from the novelty of a place.
+"""Classifier of Gaussians: raw log odds from small networks, novelty and a discriminant.
 
 The networks were trained on edits by experiments/train_classifier.py and see one Gaussian at a
 time. Since edits are compact, their output is smoothed over neighbours. Novelty is not trained, and
-adds what the networks do not know of sources that they never saw.
+adds what the networks do not know of sources that they never saw. The discriminant learns from both
+what is different in the scene at hand.
 """
 
 import dataclasses
@@ -14,14 +15,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from gsc_jax.forensics.discriminant import discriminant
 from gsc_jax.forensics.features import Features
 from gsc_jax.forensics.novelty import novelty
+from gsc_jax.forensics.places import Places, find_places
+from gsc_jax.scene.neighbours import Neighbourhoods
 from gsc_jax.scene.parallel import blocks
 
 BLOCK = 2**15
 """Gaussians per call of the networks; one size, so that they compile once."""
 SMOOTHING_STEPS = 4
 """Number of averages with the mean over the neighbours."""
+DISCRIMINANT = 0.8
+"""Weight of the discriminant in the raw log odds."""
 MAX_RAW_LOG_ODDS = 25.0
 """Clip raw log odds to this magnitude: the sigmoid is 0 or 1 in float32 beyond it."""
 
@@ -52,14 +58,26 @@ class Classifier:
 
 
 def combined_log_odds(features: Features, means: np.ndarray, classifier: Classifier) -> np.ndarray:
-    """Raw log odds of N Gaussians by networks and novelty, shape (N,) float32."""
-    weighted = classifier.novelty * smoothed_novelty(features, means)
-    return smoothed_log_odds(features, classifier) + weighted
+    """Raw log odds of N Gaussians by networks, novelty and discriminant, shape (N,) float32."""
+    places = find_places(features, means)
+    novel = smoothed_novelty(places, features.neighbourhoods)
+    raw = smoothed_log_odds(features, classifier) + classifier.novelty * novel
+    return with_discriminant(raw, places)
 
 
-def smoothed_novelty(features: Features, means: np.ndarray) -> np.ndarray:
-    """Novelty of each Gaussian, smoothed over its neighbours, shape (N,) float32."""
-    return features.neighbourhoods.smooth(novelty(features, means), SMOOTHING_STEPS)
+def smoothed_novelty(places: Places | None, neighbourhoods: Neighbourhoods) -> np.ndarray:
+    """Novelty of each Gaussian, smoothed over its neighbours, 0 without places, (N,) float32."""
+    if places is None:
+        return np.zeros(len(neighbourhoods.nearest), np.float32)
+    return neighbourhoods.smooth(places.spread_out(novelty(places)), SMOOTHING_STEPS)
+
+
+def with_discriminant(log_odds: np.ndarray, places: Places | None) -> np.ndarray:
+    """Log odds (N,) of Gaussians with those of the discriminant that they begin added, (N,)."""
+    if places is None:
+        return log_odds
+    added = discriminant(places, places.averaged(log_odds))
+    return log_odds + DISCRIMINANT * places.spread_out(added)
 
 
 def smoothed_log_odds(features: Features, classifier: Classifier) -> np.ndarray:

@@ -6,15 +6,13 @@ trained for this number, so that it holds for sources that no training data have
 """
 
 import functools
-from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
-from gsc_jax.forensics.features import NEIGHBOURS, Features, in_group
-from gsc_jax.scene.neighbours import neighbourhoods, parts
+from gsc_jax.forensics.places import Places
 from gsc_jax.scene.parallel import workers
 from gsc_jax.scene.statistics import principal_axes
 
@@ -22,8 +20,6 @@ SHAPE, COLOUR = ("size", "anisotropy", "spacing", "opacity"), ("colour", "contra
 COMPARED = SHAPE, (*SHAPE, *COLOUR)
 """Groups of features of each comparison. Colours or harmonics alone differ where nothing was edited
 as much as where something was."""
-PLACE, MAX_PLACES = 16, 2**13
-"""Gaussians of a place at most, unless there are more than `MAX_PLACES` places."""
 COMPONENTS = 10
 """Principal components of the statistics that are compared."""
 CANDIDATES = 96
@@ -36,42 +32,14 @@ MAX_LOG_RATIO = 3.0
 """Clip the logarithm of a distance, relative to the median of the scene, to this magnitude."""
 
 
-def novelty(features: Features, means: np.ndarray) -> np.ndarray:
-    """Novelty of N Gaussians with these means (N, 3), about 0 in the middle, shape (N,) float32.
-
-    Gaussians of one place have the same; 0 where a scene has too few places to compare.
-    """
-    rows, starts = parts(means, max(PLACE, -(-2 * len(means) // MAX_PLACES)))
-    result = np.zeros(len(means), np.float32)
-    if len(starts) <= 2 * NEIGHBOURS:
-        return result
-    sizes = np.diff(starts, append=len(rows))
-
-    def mean(values: np.ndarray) -> np.ndarray:
-        return np.add.reduceat(values[rows], starts) / sizes[:, None]
-
-    centers = mean(means)
-    around, _ = neighbourhoods(centers.astype(np.float32), NEIGHBOURS)
-    # Some columns at a time, since all of them take as much memory as the scene.
-    moments = [np.stack([mean(own), mean(own * own)]) for own in features.own()]
-    first, square = (around.mean(values) for values in np.concatenate(moments, axis=2))
-    spread = np.sqrt(np.maximum(square - first**2, 0))
-    names = features.names[: first.shape[1]]
-    some = centers[:: -(-len(centers) // SAMPLE)]
-    radius = np.quantile(cdist(centers, some), NEARBY_SHARE, axis=1)[:, None]
-    apart = functools.partial(_novelty, centers=centers, radius=radius)
+def novelty(places: Places) -> np.ndarray:
+    """Novelty of P places, about 0 in the middle, shape (P,)."""
+    some = places.centers[:: -(-len(places.centers) // SAMPLE)]
+    radius = np.quantile(cdist(places.centers, some), NEARBY_SHARE, axis=1)[:, None]
+    apart = functools.partial(_novelty, centers=places.centers, radius=radius)
     with ThreadPoolExecutor(workers()) as pool:
-        compared = list(pool.map(apart, _statistics(first, spread, names)))
-    result[rows] = np.repeat(around.mean(np.mean(compared, axis=0)), sizes)
-    return result
-
-
-def _statistics(mean: np.ndarray, spread: np.ndarray, names: Sequence[str]) -> Iterator[np.ndarray]:
-    """Yield mean and spread (P, D) of the numbers around each place by comparison, standardised."""
-    for groups in COMPARED:
-        columns = np.any([in_group(names, group) for group in groups], axis=0)
-        values = np.column_stack([mean[:, columns], spread[:, columns]])
-        yield (values - values.mean(axis=0)) / (values.std(axis=0) + 1e-3)
+        compared = list(pool.map(apart, map(places.statistics, COMPARED)))
+    return places.around.mean(np.mean(compared, axis=0))
 
 
 def _novelty(statistics: np.ndarray, centers: np.ndarray, radius: np.ndarray) -> np.ndarray:

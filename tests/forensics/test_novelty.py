@@ -9,15 +9,20 @@ import pytest
 from gsc_jax.benchmark.incorporation import transformed
 from gsc_jax.benchmark.metrics import auc
 from gsc_jax.benchmark.scenes import make_room
+from gsc_jax.forensics.classifier import smoothed_novelty
 from gsc_jax.forensics.features import compute_features
 from gsc_jax.forensics.novelty import novelty
+from gsc_jax.forensics.places import find_places
 from gsc_jax.scene import Gaussians
 
 ROOM = make_room(count=12_000, seed=5)
 
 
 def measured(gaussians: Gaussians) -> np.ndarray:
-    return novelty(compute_features(gaussians), np.asarray(gaussians.means, np.float32))
+    """Novelty of each Gaussian, shape (N,)."""
+    places = find_places(compute_features(gaussians), np.asarray(gaussians.means, np.float32))
+    assert places is not None
+    return places.spread_out(novelty(places))
 
 
 def nearest(gaussians: Gaussians, count: int) -> np.ndarray:
@@ -53,7 +58,10 @@ def test_order_scale_and_place_change_nothing():
 @pytest.mark.parametrize("count", [40, 300])
 def test_few_places_are_not_compared(count):
     few = ROOM.take(np.arange(count))
-    np.testing.assert_array_equal(measured(few), np.zeros(count, np.float32))
+    features, means = compute_features(few), np.asarray(few.means, np.float32)
+    assert find_places(features, means) is None
+    around = features.neighbourhoods
+    np.testing.assert_array_equal(smoothed_novelty(None, around), np.zeros(count, np.float32))
 
 
 def test_identical_gaussians_are_not_novel():
@@ -65,11 +73,11 @@ def test_identical_gaussians_are_not_novel():
 
 def test_memory_does_not_grow_with_the_number_of_columns(monkeypatch):
     """All columns at once took 500 bytes per Gaussian, more than any other step."""
-    monkeypatch.setattr("gsc_jax.forensics.novelty.MAX_PLACES", 2**8)  # few, as in a large scene
+    monkeypatch.setattr("gsc_jax.forensics.places.MAX_PLACES", 2**8)  # few, as in a large scene
     gaussians = make_room(count=40_000, seed=5)
     features, means = compute_features(gaussians), np.asarray(gaussians.means, np.float32)
     tracemalloc.start()
-    novelty(features, means)
+    find_places(features, means)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 200 * len(gaussians), f"{peak / len(gaussians):.0f} bytes per Gaussian"

@@ -1,0 +1,81 @@
+"""Places: small parts of a scene, and the statistics of the Gaussians around each."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from gsc_jax.forensics.features import NEIGHBOURS, Features, in_group
+from gsc_jax.scene.neighbours import Neighbourhoods, neighbourhoods, parts
+
+PLACE, MAX_PLACES = 16, 2**13
+"""Gaussians of a place at most, unless there are more than `MAX_PLACES` places."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Places:
+    """P places of a scene of N Gaussians.
+
+    Attributes:
+        rows: The Gaussians by place, shape (N,).
+        starts: Where each place begins in `rows`, shape (P,).
+        centers: Mean positions, shape (P, 3).
+        around: The places around each.
+        mean, spread: Mean and standard deviation around each place of F numbers, shape (P, F).
+        names: Names of the numbers, as in `Features`.
+    """
+
+    rows: np.ndarray
+    starts: np.ndarray
+    centers: np.ndarray
+    around: Neighbourhoods
+    mean: np.ndarray
+    spread: np.ndarray
+    names: tuple[str, ...]
+
+    def statistics(self, groups: Sequence[str] = ()) -> np.ndarray:
+        """Means and spreads of the numbers of some groups or all, standardised, shape (P, D)."""
+        columns = np.full(len(self.names), not groups)
+        for group in groups:
+            columns |= in_group(self.names, group)
+        values = np.column_stack([self.mean[:, columns], self.spread[:, columns]])
+        return (values - values.mean(axis=0)) / (values.std(axis=0) + 1e-3)
+
+    def averaged(self, values: np.ndarray) -> np.ndarray:
+        """Means over the Gaussians of each place, (N, ...) to (P, ...)."""
+        return _averaged(values, self.rows, self.starts)
+
+    def spread_out(self, values: np.ndarray) -> np.ndarray:
+        """Values of the places (P,) for their Gaussians, shape (N,) float32."""
+        result = np.empty(len(self.rows), np.float32)
+        result[self.rows] = np.repeat(values, np.diff(self.starts, append=len(self.rows)))
+        return result
+
+
+def find_places(features: Features, means: np.ndarray) -> Places | None:
+    """Divide N Gaussians with these means (N, 3) into places; None if there are too few places."""
+    rows, starts = parts(means, max(PLACE, -(-2 * len(means) // MAX_PLACES)))
+    if len(starts) <= 2 * NEIGHBOURS:
+        return None
+    centers = _averaged(means, rows, starts)
+    around, _ = neighbourhoods(centers.astype(np.float32), NEIGHBOURS)
+    # Some columns at a time, since all of them take as much memory as the scene.
+    moments = [
+        np.stack([_averaged(own, rows, starts), _averaged(own * own, rows, starts)])
+        for own in features.own()
+    ]
+    first, square = (around.mean(values) for values in np.concatenate(moments, axis=2))
+    return Places(
+        rows=rows,
+        starts=starts,
+        centers=centers,
+        around=around,
+        mean=first,
+        spread=np.sqrt(np.maximum(square - first**2, 0)),
+        names=features.names[: first.shape[1]],
+    )
+
+
+def _averaged(values: np.ndarray, rows: np.ndarray, starts: np.ndarray) -> np.ndarray:
+    sums = np.add.reduceat(values[rows], starts)
+    return (sums.T / np.diff(starts, append=len(rows))).T

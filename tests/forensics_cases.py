@@ -98,13 +98,18 @@ def classified(log_odds, probability: float = 0.9, peak: float = PEAK) -> Classi
 
 
 def evidence_of(
-    log_odds, probability: float = 0.9, *, rows: tuple[int, ...] = (), name: str = "copy-move"
+    log_odds,
+    probability: float = 0.9,
+    *,
+    rows: tuple[int, ...] = (),
+    name: str = "copy-move",
+    peak: float = PEAK,
 ) -> ForensicEvidence:
     """Evidence of the classifier, and of a trace that marks some rows."""
     score = np.zeros(len(log_odds), np.float32)
     score[list(rows)] = 0.999
     traces = [Trace(name=name, score=score, explanation="")] if rows else []
-    return combine(classified(log_odds, probability), traces)
+    return combine(classified(log_odds, probability, peak), traces)
 
 
 def two_groups(seed: int, edited: int) -> np.ndarray:

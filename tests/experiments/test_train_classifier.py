@@ -41,6 +41,7 @@ def scene_output(edit: str, rng: np.random.Generator) -> train.SceneOutput:
         novelty=novelty,
         labels=labels if edit != NO_EDIT else np.zeros(20_000, bool),
         means=np.linspace(0, 1, 20_000)[:, None] * np.ones(3),
+        places=None,
     )
 
 

@@ -75,7 +75,7 @@ def test_small_and_degenerate_scenes_give_finite_evidence(scene):
 
 def test_trace_suffices_alone_and_raises_the_level_of_the_others():
     around = LEVEL_BESIDE_TRACES + np.array([0.1, -0.1])
-    evidence = evidence_of([BASE, BASE, *around], 0.3, rows=(0,))
+    evidence = evidence_of([BASE, BASE, *around], 0.3, rows=(0,), peak=around.max())
     finding = estimate_from_attributes(evidence)
     assert finding.labels.tolist() == [True, False, True, False]
     relative = evidence.log_odds - LEVEL_BESIDE_TRACES

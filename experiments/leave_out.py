@@ -156,9 +156,11 @@ def examples_of(args: LeaveOutArgs) -> list[Examples]:
     return [one for one in made if one.share > 0]
 
 
-def scored_cases(args: LeaveOutArgs) -> Iterator[tuple[str, BankCase]]:
-    """Whole cases with their hosts, those of a source together."""
-    names = sorted(hosts(args.bank, args.data), key=source_of)
+def scored_cases(args: LeaveOutArgs, most: int | None = None) -> Iterator[tuple[str, BankCase]]:
+    """Whole cases with their hosts, those of a source together, of `most` hosts of each source."""
+    ordered = sorted(hosts(args.bank, args.data), key=source_of)
+    sources = itertools.groupby(ordered, key=source_of)
+    names = [name for _, own in sources for name in itertools.islice(own, most)]
     for host, edit in tqdm(list(itertools.product(names, EDITS)), desc="cases", disable=None):
         if case := stored_case(host, edit, SCORED, args.bank, args.data, args.keep):
             yield host, case

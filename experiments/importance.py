@@ -5,10 +5,10 @@
     python experiments/importance.py --keep .cues [--together surface agreement] [--out docs]
 
 For each source and each group, networks are trained on the cases of the other sources without the
-columns of the group, and score cases of some hosts of the source; novelty and discriminant are computed without
-the group, too. The last rows leave out novelty, the networks, and the discriminant. Groups may
-replace each other: two that lose nothing alone may lose something together, which `--together`
-measures.
+columns of the group, and score cases of some hosts of the source; novelty and discriminant are
+computed without the group, too. The last rows leave out novelty, the networks, and the
+discriminant. Groups may replace each other: two that lose nothing alone may lose something
+together, which `--together` measures.
 """
 
 import dataclasses

@@ -2,7 +2,7 @@
 
     python experiments/captures.py
     python experiments/train_classifier.py --keep .cues
-    python experiments/importance.py --keep .cues [--together surface agreement] [--out docs]
+    python experiments/importance.py --keep .cues [--together size opacity] [--out docs]
 
 For each source and each group, networks are trained on the cases of the other sources without the
 columns of the group, and score cases of some hosts of the source; novelty and discriminant are

@@ -41,7 +41,7 @@ from gsc_jax.forensics.places import Places, find_places
 from gsc_jax.io.files import atomic
 from gsc_jax.scene import InputError
 
-CALIBRATION_SEEDS: dict[Kind, int] = {**dict.fromkeys(EDITS, 1), NO_EDIT: 3}
+CALIBRATION_SEEDS: dict[Kind, int] = {**dict.fromkeys(EDITS, 2), NO_EDIT: 4}
 """Number of seeds of each host and kind that calibrate; authentic ones differ in their history."""
 SAMPLE = 20_000
 """Gaussians of a whole case used for calibration."""

@@ -31,10 +31,10 @@ from gsc_jax.forensics.classifier import (
     Classifier,
     default_classifier,
     smoothed_log_odds,
-    smoothed_novelty,
-    with_discriminant,
+    with_places,
 )
 from gsc_jax.forensics.features import Features, compute_features, in_group, with_finite_scales
+from gsc_jax.forensics.novelty import novelty
 from gsc_jax.forensics.places import find_places
 from gsc_jax.scene import InputError
 
@@ -82,7 +82,7 @@ class ReducedFeatures(Features):
 
 def kept_columns(names: Sequence[str], without: Groups) -> np.ndarray:
     """Mask of the columns of all other groups, shape (F,) bool."""
-    return ~np.any([np.zeros(len(names), bool), *(in_group(names, g) for g in without)], axis=0)
+    return ~in_group(names, *without)
 
 
 def groups_of(names: Sequence[str]) -> list[str]:
@@ -122,14 +122,15 @@ def rows_of(
     log_odds = {}
     for name, (without, classifier) in classifiers.items():
         reduced = ReducedFeatures(**own, without=without)
-        places = find_places(reduced, means)
-        novelty = classifier.novelty * smoothed_novelty(places, features.neighbourhoods)
+        if (places := find_places(reduced, means)) is None:
+            return
+        novel = classifier.novelty * novelty(places)
         networks = smoothed_log_odds(features, classifier)
-        log_odds[name] = with_discriminant(networks + novelty, places)
+        log_odds[name] = with_places(networks, places, novel)
         if name == NOTHING:
-            log_odds[NO_DISCRIMINANT] = networks + novelty
-            log_odds[NO_NOVELTY] = with_discriminant(networks, places)
-            log_odds[NO_NETWORKS] = with_discriminant(novelty, places)
+            log_odds[NO_DISCRIMINANT] = networks + places.spread_out(novel)
+            log_odds[NO_NOVELTY] = with_places(networks, places, 0.0)
+            log_odds[NO_NETWORKS] = with_places(np.zeros(len(means)), places, novel)
     scores = {name: auc(values, case.labels) for name, values in log_odds.items()}
     key = {"host": host, "seed": 0, "edit": case.edit, "family": case.family}
     for name, score in scores.items():

@@ -31,10 +31,10 @@ from gsc_jax.forensics.classifier import (
     Layers,
     default_classifier,
     smoothed_log_odds,
-    smoothed_novelty,
-    with_discriminant,
+    with_places,
 )
 from gsc_jax.forensics.features import compute_features, with_finite_scales
+from gsc_jax.forensics.novelty import novelty
 from gsc_jax.forensics.places import find_places
 
 SCORED = FIRST_SEED + 1
@@ -116,17 +116,18 @@ def rows_of(host: str, case: BankCase, trained: Trained) -> Iterator[Row]:
     features = compute_features(with_finite_scales(case.gaussians))
     classifier = default_classifier()
     means = np.asarray(case.gaussians.means, np.float32)
-    places = find_places(features, means)
-    novelty = classifier.novelty * smoothed_novelty(places, features.neighbourhoods)
+    if (places := find_places(features, means)) is None:
+        return
+    novel = classifier.novelty * novelty(places)
     key = {"host": host, "edit": case.edit, "family": case.family, "export": case.exporter}
     for name, left_out in LEFT_OUT.items():
         learned = learned_of(trained.cases, host, case, left_out)
         if len(learned) >= LEAST:
             one = dataclasses.replace(classifier, networks=(trained.network(learned),))
-            raw = with_discriminant(smoothed_log_odds(features, one) + novelty, places)
+            raw = with_places(smoothed_log_odds(features, one), places, novel)
             score = auc(raw, case.labels)
             yield key | {"left_out": name, "cases": len(learned), "auc": score}
-    score = auc(with_discriminant(novelty, places), case.labels)
+    score = auc(with_places(np.zeros(len(means)), places, novel), case.labels)
     yield key | {"left_out": "no network", "cases": 0, "auc": score}
 
 

@@ -40,10 +40,10 @@ from gsc_jax.forensics.classifier import (
     Layers,
     default_classifier,
     smoothed_log_odds,
-    smoothed_novelty,
-    with_discriminant,
+    with_places,
 )
 from gsc_jax.forensics.features import compute_features, with_finite_scales
+from gsc_jax.forensics.novelty import novelty
 from gsc_jax.forensics.places import find_places
 
 COUNTS = (1, 2, 4, 8, 16, 28)
@@ -108,14 +108,15 @@ def rows_of(
     features = compute_features(with_finite_scales(case.gaussians))
     classifier = default_classifier()
     means = np.asarray(case.gaussians.means, np.float32)
-    places = find_places(features, means)
-    novelty = classifier.novelty * smoothed_novelty(places, features.neighbourhoods)
+    if (places := find_places(features, means)) is None:
+        return
+    novel = classifier.novelty * novelty(places)
     key = {"source": source, "host": host, "method": edit, "seed": seed}
-    score = auc(with_discriminant(novelty, places), case.labels)
+    score = auc(with_places(np.zeros(len(means)), places, novel), case.labels)
     yield key | {"hosts": 0, "names": "", "auc": score}
     for names, layers in networks[source].items():
         one = dataclasses.replace(classifier, networks=(layers,))
-        raw = with_discriminant(smoothed_log_odds(features, one) + novelty, places)
+        raw = with_places(smoothed_log_odds(features, one), places, novel)
         score = auc(raw, case.labels)
         yield key | {"hosts": len(names), "names": " ".join(sorted(names)), "auc": score}
 

@@ -33,10 +33,10 @@ from gsc_jax.forensics.classifier import (
     Classifier,
     Layers,
     smoothed_log_odds,
-    smoothed_novelty,
-    with_discriminant,
+    with_places,
 )
 from gsc_jax.forensics.features import MAX_DEVIATION, compute_features, with_finite_scales
+from gsc_jax.forensics.novelty import novelty
 from gsc_jax.forensics.places import Places, find_places
 from gsc_jax.io.files import atomic
 from gsc_jax.scene import InputError
@@ -207,19 +207,22 @@ def make_fold(
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class SceneOutput:
-    """Output of the networks, novelty and labels (N,) of a whole case with centres (N, 3)."""
+    """A case: output of the networks and labels (N,), novelty of places (P,), means (N, 3)."""
 
     edit: str
     networks: np.ndarray
+    places: Places
     novelty: np.ndarray
     labels: np.ndarray
     means: np.ndarray
-    places: Places | None
 
     def raw(self, classifier: Classifier) -> np.ndarray:
         """Raw log odds, as in `combined_log_odds`, shape (N,)."""
-        before = self.networks + classifier.novelty * self.novelty
-        return with_discriminant(before, self.places)
+        return with_places(self.networks, self.places, classifier.novelty * self.novelty)
+
+    def columns(self) -> np.ndarray:
+        """Output of the networks and novelty of the Gaussians, shape (N, 2)."""
+        return np.column_stack([self.networks, self.places.spread_out(self.novelty)])
 
 
 Outputs = dict[str | None, SceneOutput]
@@ -231,17 +234,19 @@ def scene_outputs(case: BankCase, host: str, folds: Sequence[Fold]) -> Outputs:
     features = compute_features(with_finite_scales(case.gaussians))
     means = np.asarray(case.gaussians.means, np.float32)
     places, outputs = find_places(features, means), {}
-    novelty = smoothed_novelty(places, features.neighbourhoods)
+    if places is None:
+        return outputs
+    novel = novelty(places)
     for fold in folds:
         if fold.heldout not in case.sources:
             one = dataclasses.replace(fold.classifier, networks=(fold.others[source_of(host)],))
             outputs[fold.heldout] = SceneOutput(
                 edit=case.edit,
                 networks=smoothed_log_odds(features, one),
-                novelty=novelty,
+                places=places,
+                novelty=novel,
                 labels=case.labels,
                 means=means,
-                places=places,
             )
     return outputs
 
@@ -265,9 +270,8 @@ def logistic_fit(
 def calibrated(classifier: Classifier, outputs: Sequence[SceneOutput]) -> Classifier:
     """The classifier with the weight of the novelty, calibrated for Gaussians and for scenes."""
     edited = [one for one in outputs if one.edit != NO_EDIT]
-    apart = [np.column_stack([one.networks, one.novelty]) for one in edited]
-    factor, novelty, _ = _gaussian_fit(edited, apart)
-    classifier = dataclasses.replace(classifier, novelty=float(novelty / factor))
+    factor, of_novelty, _ = _gaussian_fit(edited, [one.columns() for one in edited])
+    classifier = dataclasses.replace(classifier, novelty=float(of_novelty / factor))
     raw = [one.raw(classifier) for one in outputs]
     own = [values[:, None] for values, one in zip(raw, outputs, strict=True) if one.edit != NO_EDIT]
     factor, shift = _gaussian_fit(edited, own)

@@ -23,8 +23,7 @@ MAX_BYTES_IN_MEMORY = 2**30
 class ArrayStore:
     """Arrays by kind and name of a view.
 
-    One store serves one run: one scene, its cameras, and one detector. Arrays may be added from
-    several threads, each only once.
+    One store serves one run: a scene, its cameras and a detector. Threads add arrays, each once.
 
     Args:
         folder: A folder for all arrays, created if missing; None for a temporary one (TMPDIR

@@ -18,15 +18,13 @@ MAX_LOG_ODDS = 12.0
 """Clip log odds to this magnitude: probabilities within 1e-5 of 0 or 1 are not calibrated."""
 PART = 64
 """Gaussians in a part of a scene; the part with the highest mean log odds represents the scene."""
-GAP_RANGE, GAP_HALF_WIDTH = (0.3, 0.6), 0.1
-"""Range of levels, from median (0) to peak (1), searched for a gap, and half the width of a gap;
-chosen by F1 on cases of experiments/bank.py by classifiers that never saw their hosts."""
+LEVEL = 0.42
+"""Level of labelling, from the median of a scene (0) to its peak (1), chosen by F1 on cases of
+experiments/bank.py by classifiers that never saw their hosts."""
 MIN_TRACED_SHARE = 0.1
 """Share of the Gaussians above the level that traces must mark to count as identifying the edit."""
 LEVEL_BESIDE_TRACES = 1.0
 """Log odds from which Gaussians without a trace are labelled beside traces."""
-NEGLIGIBLE_COUNT = 20
-"""Number of Gaussians above a level that does not matter."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -86,13 +84,12 @@ def peak_log_odds(log_odds: np.ndarray, means: np.ndarray) -> float:
 def label_level(scene: Classification, traces: Sequence[Trace] = ()) -> float:
     """Log odds above which Gaussians are labelled.
 
-    It is the `stable_level`. If traces were found, they identify the edit where the classifier
-    alone would not call the scene edited, or where they mark some of the Gaussians above the level;
-    then the others need `LEVEL_BESIDE_TRACES`.
+    If traces are found, and the classifier alone would not call the scene edited or they mark some
+    of the Gaussians above the level, they identify the edit: others need `LEVEL_BESIDE_TRACES`.
     """
     known = scene.log_odds[scene.known]
     middle = min(float(np.median(known)), scene.base) if len(known) else scene.base
-    level = stable_level(known, middle, max(scene.peak - middle, 0.0))
+    level = middle + LEVEL * max(scene.peak - middle, 0.0)
     if not any(trace.found for trace in traces):
         return level
     above = scene.log_odds > level
@@ -100,17 +97,3 @@ def label_level(scene: Classification, traces: Sequence[Trace] = ()) -> float:
     if scene.scene_probability > 0.5 and traced.sum() <= MIN_TRACED_SHARE * above.sum():
         return level
     return max(level, LEVEL_BESIDE_TRACES)
-
-
-def stable_level(log_odds: np.ndarray, first: float, span: float) -> float:
-    """Level from first to first + span at which the number of log odds (N,) above changes least.
-
-    The change is relative, as in maximally stable extremal regions (Matas et al., 2002).
-    """
-    levels, ordered = first + span * np.linspace(*GAP_RANGE, 46), np.sort(log_odds)
-
-    def log_counts(levels: np.ndarray) -> np.ndarray:
-        return np.log(len(ordered) - np.searchsorted(ordered, levels) + NEGLIGIBLE_COUNT)
-
-    margin = GAP_HALF_WIDTH * span
-    return float(levels[np.argmin(log_counts(levels - margin) - log_counts(levels + margin))])

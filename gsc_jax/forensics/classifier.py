@@ -19,7 +19,6 @@ from gsc_jax.forensics.discriminant import discriminant
 from gsc_jax.forensics.features import Features
 from gsc_jax.forensics.novelty import novelty
 from gsc_jax.forensics.places import Places, find_places
-from gsc_jax.scene.neighbours import Neighbourhoods
 from gsc_jax.scene.parallel import blocks
 
 BLOCK = 2**15
@@ -45,8 +44,7 @@ class Classifier:
         novelty: Weight of the novelty in the raw log odds.
         calibration: Factor and shift from raw log odds to log odds of a Gaussian.
         base: Log odds that a Gaussian of an edited scene is tampered, without any evidence.
-        scene: Factor and shift from the peak log odds of a scene, above their median, to log odds
-            that it is edited.
+        scene: Factor and shift from the peak above the median to log odds of an edited scene.
     """
 
     networks: tuple[Layers, ...]
@@ -59,25 +57,17 @@ class Classifier:
 
 def combined_log_odds(features: Features, means: np.ndarray, classifier: Classifier) -> np.ndarray:
     """Raw log odds of N Gaussians by networks, novelty and discriminant, shape (N,) float32."""
+    networks = smoothed_log_odds(features, classifier)
     places = find_places(features, means)
-    novel = smoothed_novelty(places, features.neighbourhoods)
-    raw = smoothed_log_odds(features, classifier) + classifier.novelty * novel
-    return with_discriminant(raw, places)
-
-
-def smoothed_novelty(places: Places | None, neighbourhoods: Neighbourhoods) -> np.ndarray:
-    """Novelty of each Gaussian, smoothed over its neighbours, 0 without places, (N,) float32."""
     if places is None:
-        return np.zeros(len(neighbourhoods.nearest), np.float32)
-    return neighbourhoods.smooth(places.spread_out(novelty(places)), SMOOTHING_STEPS)
+        return networks
+    return with_places(networks, places, classifier.novelty * novelty(places))
 
 
-def with_discriminant(log_odds: np.ndarray, places: Places | None) -> np.ndarray:
-    """Log odds (N,) of Gaussians with those of the discriminant that they begin added, (N,)."""
-    if places is None:
-        return log_odds
-    added = discriminant(places, places.averaged(log_odds))
-    return log_odds + DISCRIMINANT * places.spread_out(added)
+def with_places(networks: np.ndarray, places: Places, novel: np.ndarray | float) -> np.ndarray:
+    """Log odds (N,) plus weighted novelty (P,), and the discriminant that both begin, (N,)."""
+    added = discriminant(places, places.averaged(networks) + novel)
+    return networks + places.spread_out(novel + DISCRIMINANT * added)
 
 
 def smoothed_log_odds(features: Features, classifier: Classifier) -> np.ndarray:

@@ -13,25 +13,17 @@ from gsc_jax.forensics.places import Places
 RIDGE = 0.3
 """Added to the variances, which are about 1."""
 STEEPNESS = 2.0
-"""Factor of the log odds above the level, from which the first guess follows."""
-MAX_DISCRIMINANT = 12.0
-"""Clip the discriminant to this magnitude."""
+"""Factor of the log odds above half of the way from their median to their peak: the first guess."""
 
 
 def discriminant(places: Places, log_odds: np.ndarray) -> np.ndarray:
     """Log odds of P places by a discriminant that log odds (P,) begin, shape (P,)."""
-    values = places.statistics()
-    inside = expit(STEEPNESS * (log_odds - half_level(log_odds, float(log_odds.max()))))
+    values, level = places.statistics, (np.median(log_odds) + log_odds.max()) / 2
+    inside = expit(STEEPNESS * (log_odds - level))
     centers = [weights @ values / weights.sum() for weights in (inside, 1 - inside)]
     covariance = RIDGE * np.eye(values.shape[1])
     for weights, center in zip((inside, 1 - inside), centers, strict=True):
         apart = values - center
         covariance += (apart.T * weights) @ apart / len(values)
     normal = np.linalg.solve(covariance, centers[0] - centers[1])
-    scores = places.around.mean((values - (centers[0] + centers[1]) / 2) @ normal)
-    return np.clip(scores, -MAX_DISCRIMINANT, MAX_DISCRIMINANT)
-
-
-def half_level(log_odds: np.ndarray, peak: float) -> float:
-    """Half of the way from the median of log odds to their peak."""
-    return (float(np.median(log_odds)) + peak) / 2
+    return places.around.mean((values - (centers[0] + centers[1]) / 2) @ normal)

@@ -92,9 +92,9 @@ def compute_features(gaussians: Gaussians) -> Features:
     )
 
 
-def in_group(names: Sequence[str], group: str) -> np.ndarray:
-    """Mask of the columns of a group, shape (F,) bool."""
-    return np.array([name.split(".")[0] == group for name in names])
+def in_group(names: Sequence[str], *groups: str) -> np.ndarray:
+    """Mask of the columns of some groups, shape (F,) bool."""
+    return np.array([name.split(".")[0] in groups for name in names])
 
 
 def standardise(values: np.ndarray) -> np.ndarray:

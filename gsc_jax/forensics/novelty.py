@@ -5,13 +5,11 @@ trained, is similar to itself only: the places with the nearest statistics lie b
 trained for this number, so that it holds for sources that no training data have.
 """
 
-import functools
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
+from gsc_jax.forensics.features import in_group
 from gsc_jax.forensics.places import Places
 from gsc_jax.scene.parallel import workers
 from gsc_jax.scene.statistics import principal_axes
@@ -36,9 +34,10 @@ def novelty(places: Places) -> np.ndarray:
     """Novelty of P places, about 0 in the middle, shape (P,)."""
     some = places.centers[:: -(-len(places.centers) // SAMPLE)]
     radius = np.quantile(cdist(places.centers, some), NEARBY_SHARE, axis=1)[:, None]
-    apart = functools.partial(_novelty, centers=places.centers, radius=radius)
-    with ThreadPoolExecutor(workers()) as pool:
-        compared = list(pool.map(apart, map(places.statistics, COMPARED)))
+    compared = [
+        _novelty(places.statistics[:, in_group(places.names, *groups)], places.centers, radius)
+        for groups in COMPARED
+    ]
     return places.around.mean(np.mean(compared, axis=0))
 
 
@@ -49,7 +48,8 @@ def _novelty(statistics: np.ndarray, centers: np.ndarray, radius: np.ndarray) ->
     lies elsewhere, it is farther away than all of them.
     """
     described = (statistics @ principal_axes(statistics, COMPONENTS)).astype(np.float32)
-    distances, candidates = KDTree(described).query(described, k=min(CANDIDATES, len(centers)))
+    count = min(CANDIDATES, len(centers))
+    distances, candidates = KDTree(described).query(described, count, workers=workers())
     elsewhere = np.linalg.norm(centers[candidates] - centers[:, None], axis=2) > radius
     first = np.where(elsewhere.any(axis=1), elsewhere.argmax(axis=1), -1)
     distance = distances[np.arange(len(centers)), first]

@@ -1,11 +1,10 @@
 """Places: small parts of a scene, and the statistics of the Gaussians around each."""
 
 import dataclasses
-from collections.abc import Sequence
 
 import numpy as np
 
-from gsc_jax.forensics.features import NEIGHBOURS, Features, in_group
+from gsc_jax.forensics.features import NEIGHBOURS, Features
 from gsc_jax.scene.neighbours import Neighbourhoods, neighbourhoods, parts
 
 PLACE, MAX_PLACES = 16, 2**13
@@ -21,25 +20,17 @@ class Places:
         starts: Where each place begins in `rows`, shape (P,).
         centers: Mean positions, shape (P, 3).
         around: The places around each.
-        mean, spread: Mean and standard deviation around each place of F numbers, shape (P, F).
-        names: Names of the numbers, as in `Features`.
+        statistics: Mean and standard deviation around each place of F numbers, standardised, shape
+            (P, 2 F).
+        names: Names of the numbers, as in `Features`, of each column.
     """
 
     rows: np.ndarray
     starts: np.ndarray
     centers: np.ndarray
     around: Neighbourhoods
-    mean: np.ndarray
-    spread: np.ndarray
+    statistics: np.ndarray
     names: tuple[str, ...]
-
-    def statistics(self, groups: Sequence[str] = ()) -> np.ndarray:
-        """Means and spreads of the numbers of some groups or all, standardised, shape (P, D)."""
-        columns = np.full(len(self.names), not groups)
-        for group in groups:
-            columns |= in_group(self.names, group)
-        values = np.column_stack([self.mean[:, columns], self.spread[:, columns]])
-        return (values - values.mean(axis=0)) / (values.std(axis=0) + 1e-3)
 
     def averaged(self, values: np.ndarray) -> np.ndarray:
         """Means over the Gaussians of each place, (N, ...) to (P, ...)."""
@@ -65,14 +56,14 @@ def find_places(features: Features, means: np.ndarray) -> Places | None:
         for own in features.own()
     ]
     first, square = (around.mean(values) for values in np.concatenate(moments, axis=2))
+    values = np.column_stack([first, np.sqrt(np.maximum(square - first**2, 0))])
     return Places(
         rows=rows,
         starts=starts,
         centers=centers,
         around=around,
-        mean=first,
-        spread=np.sqrt(np.maximum(square - first**2, 0)),
-        names=features.names[: first.shape[1]],
+        statistics=(values - values.mean(axis=0)) / (values.std(axis=0) + 1e-3),
+        names=2 * features.names[: first.shape[1]],
     )
 
 

@@ -54,8 +54,7 @@ def orbit_cameras(
         n cameras, NumPy float32.
 
     Raises:
-        InputError: if n, the size, the field of view or the up direction is invalid, or no
-            Gaussian can be rendered.
+        InputError: if n, size, field of view or up is invalid, or no Gaussian can be rendered.
     """
     up = np.asarray(up, np.float64)
     valid_up = up.shape == (3,) and 0 < np.linalg.norm(up) < np.inf

@@ -8,7 +8,7 @@ from forensics_cases import BASE, classified, two_groups
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gsc_jax.forensics.calibration import MAX_LOG_ODDS, calibrate, label_level, stable_level
+from gsc_jax.forensics.calibration import MAX_LOG_ODDS, calibrate, label_level
 from gsc_jax.forensics.classifier import default_classifier
 
 MEANS = np.random.default_rng(0).normal(size=(300, 3))
@@ -41,13 +41,19 @@ def test_level_without_a_peak_is_the_base_rate():
     assert label_level(classified(np.full(50, BASE), peak=BASE)) == BASE
 
 
-@given(st.integers(0, 99), st.integers(50, 5_000), st.floats(-5, 5), st.floats(0.2, 5))
+@given(st.integers(0, 99), st.integers(50, 5_000), st.floats(-5, 0), st.floats(0.2, 5))
 @settings(max_examples=20, deadline=None)
-def test_stable_level_moves_with_the_log_odds(seed: int, edited: int, shift: float, factor: float):
-    log_odds = two_groups(seed, edited)
-    level = stable_level(log_odds, -3, 10)
-    moved = stable_level(factor * log_odds + shift, factor * -3 + shift, factor * 10)
-    assert moved == pytest.approx(factor * level + shift, abs=factor * 10 * 0.02)
+def test_level_lies_between_the_median_and_the_peak_and_moves_with_them(
+    seed: int, edited: int, shift: float, factor: float
+):
+    log_odds = two_groups(seed, edited) - 5
+    peak = float(log_odds.max())
+    one = classified(log_odds, peak=peak)
+    other = classified(factor * log_odds + shift, peak=factor * peak + shift)
+    other = dataclasses.replace(other, base=factor * one.base + shift)
+    level = label_level(one)
+    assert np.median(log_odds) < level < peak
+    assert label_level(other) == pytest.approx(factor * level + shift, rel=1e-4, abs=1e-4)
 
 
 @pytest.mark.parametrize("shift", [-3.0, 2.0])

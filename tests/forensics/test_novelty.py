@@ -9,7 +9,11 @@ import pytest
 from gsc_jax.benchmark.incorporation import transformed
 from gsc_jax.benchmark.metrics import auc
 from gsc_jax.benchmark.scenes import make_room
-from gsc_jax.forensics.classifier import smoothed_novelty
+from gsc_jax.forensics.classifier import (
+    combined_log_odds,
+    default_classifier,
+    smoothed_log_odds,
+)
 from gsc_jax.forensics.features import compute_features
 from gsc_jax.forensics.novelty import novelty
 from gsc_jax.forensics.places import find_places
@@ -60,8 +64,9 @@ def test_few_places_are_not_compared(count):
     few = ROOM.take(np.arange(count))
     features, means = compute_features(few), np.asarray(few.means, np.float32)
     assert find_places(features, means) is None
-    around = features.neighbourhoods
-    np.testing.assert_array_equal(smoothed_novelty(None, around), np.zeros(count, np.float32))
+    classifier = default_classifier()
+    expected = smoothed_log_odds(features, classifier)
+    np.testing.assert_array_equal(combined_log_odds(features, means, classifier), expected)
 
 
 def test_identical_gaussians_are_not_novel():

@@ -25,6 +25,7 @@ from cases import DATA, available
 from classifier_examples import Examples, kept, make_examples, stored_case
 from runner import start
 from scipy.optimize import minimize
+from scipy.special import expit
 from tqdm import tqdm
 
 from gsc_jax.benchmark.tamper import EDITS
@@ -258,13 +259,16 @@ def logistic_fit(
 
     By weighted logistic regression.
     """
+    weights = weights / weights.sum()
 
-    def loss(line: np.ndarray) -> float:
+    def loss(line: np.ndarray) -> tuple[float, np.ndarray]:
         log_odds = values @ line[:-1] + line[-1]
         losses = np.logaddexp(0, np.where(labels, -log_odds, log_odds))
-        return float(np.average(losses, weights=weights) + damping * (line[:-1] ** 2).sum())
+        errors = weights * (expit(log_odds) - labels)
+        slopes = np.append(errors @ values + 2 * damping * line[:-1], errors.sum())
+        return float(weights @ losses + damping * (line[:-1] ** 2).sum()), slopes
 
-    return minimize(loss, np.append(np.ones(values.shape[1]), 0.0), method="Nelder-Mead").x
+    return minimize(loss, np.append(np.ones(values.shape[1]), 0.0), jac=True).x
 
 
 def calibrated(classifier: Classifier, outputs: Sequence[SceneOutput]) -> Classifier:

@@ -61,8 +61,7 @@ def estimate(
         Scores and labels.
 
     Raises:
-        ValueError: if the method is unknown or not that of the configuration, or the observation is
-            of other Gaussians or cameras.
+        ValueError: if the method is unknown, or method, configuration or observation do not match.
     """
     estimator = configured(method, config)
     names = [camera.name for camera in observation.cameras]

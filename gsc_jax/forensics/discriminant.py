@@ -14,6 +14,8 @@ RIDGE = 0.3
 """Added to the variances, which are about 1."""
 STEEPNESS = 2.0
 """Factor of the log odds above half of the way from their median to their peak: the first guess."""
+MAX_DISCRIMINANT = 12.0
+"""Clip the discriminant to this magnitude."""
 
 
 def discriminant(places: Places, log_odds: np.ndarray) -> np.ndarray:
@@ -26,4 +28,5 @@ def discriminant(places: Places, log_odds: np.ndarray) -> np.ndarray:
         apart = values - center
         covariance += (apart.T * weights) @ apart / len(values)
     normal = np.linalg.solve(covariance, centers[0] - centers[1])
-    return places.around.mean((values - (centers[0] + centers[1]) / 2) @ normal)
+    scores = places.around.mean((values - (centers[0] + centers[1]) / 2) @ normal)
+    return np.clip(scores, -MAX_DISCRIMINANT, MAX_DISCRIMINANT)

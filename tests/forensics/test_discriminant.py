@@ -8,7 +8,7 @@ import pytest
 from gsc_jax.benchmark.metrics import auc
 from gsc_jax.benchmark.scenes import make_room
 from gsc_jax.forensics.classifier import with_places
-from gsc_jax.forensics.discriminant import discriminant
+from gsc_jax.forensics.discriminant import MAX_DISCRIMINANT, discriminant
 from gsc_jax.forensics.features import compute_features
 from gsc_jax.forensics.places import Places, find_places
 from gsc_jax.scene import Gaussians
@@ -63,6 +63,7 @@ def test_equal_guesses_and_equal_places_have_finite_scores(edited, guess):
     )
     for some in (places, same):
         scores = discriminant(some, guess(len(some.starts)))
+        assert np.abs(scores).max() <= MAX_DISCRIMINANT
         assert np.isfinite(scores).all()
 
 

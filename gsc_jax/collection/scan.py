@@ -26,8 +26,7 @@ def scan(dataset: "Dataset", *, settings: ScanSettings | None = None) -> "Datase
     Returns:
         A lazy dataset with a row per scene, in any order: see docs/scale.md for its columns. A
         scene that cannot be judged has an `error_class` and an `error`, a copy of another scene
-        names that in `duplicate_of`, and one that an earlier scan into the same folder has judged
-        has the `status` "finished".
+        names that in `duplicate_of`, and one judged by an earlier scan is "finished" in `status`.
 
     Raises:
         InputError: if Ray is missing.

@@ -39,8 +39,7 @@ class FolderDetector:
     def __init__(self, path: str | Path, *, max_bytes: int | None = None):
         """List the images of a folder and its subfolders; InputError if there are none.
 
-        They are read later. One that then takes more than `max_bytes` of memory is refused; see
-        `memory_limit` for the default.
+        They are read later, each in at most `max_bytes` of memory, by default `memory_limit`.
         """
         self.path = Path(path)
         self._limit = max_bytes

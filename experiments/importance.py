@@ -5,7 +5,7 @@
     python experiments/importance.py --keep .cues [--together size opacity] [--out docs]
 
 For each source and each group, networks are trained on the cases of the other sources without the
-columns of the group, and score cases of some hosts of the source; novelty and discriminant are
+columns of the group, and score cases of two hosts of the source; novelty and discriminant are
 computed without the group, too. The last rows leave out novelty, the networks, and the
 discriminant. Groups may replace each other: two that lose nothing alone may lose something
 together, which `--together` measures.
@@ -43,8 +43,6 @@ NO_DISCRIMINANT = "discriminant"
 PARTS = NO_NOVELTY, NO_NETWORKS, NO_DISCRIMINANT
 MEMBERS = 2
 """Networks of an ensemble: AUC varies between those of other seeds."""
-HOSTS = 3
-"""Hosts of each source whose cases are scored."""
 SMALL = 0.001
 """Mean loss of AUC below which a group adds nothing."""
 Groups = tuple[str, ...]
@@ -142,7 +140,7 @@ def all_rows(args: ImportanceArgs) -> Iterator[Iterator[Row]]:
     cases = examples_of(args)
     chosen = choices(cases[0].names, args.together)
     source, classifiers = "", {}
-    for host, case in scored_cases(args, HOSTS):
+    for host, case in scored_cases(args):
         if source != source_of(host):
             source = source_of(host)
             progress = tqdm(chosen.items(), desc=f"networks without {source}", disable=None)

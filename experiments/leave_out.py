@@ -4,11 +4,12 @@
     python experiments/train_classifier.py --keep .cues
     python experiments/leave_out.py --keep .cues [--out docs]
 
-A network is trained for each case on the training cases that do not show the source of its host.
-With "donor", none of them shows the source of the pasted object either; with "editor", none is of
-the family of the case (quick edits, programs of editors, laundered ones); with "exporter", none was
-exported in the same way; with "trainer", none has a host that was trained by the same strategy;
-with "all", none shares any of these. One network scores, not an ensemble, with the novelty.
+For each case of two hosts of every source, a network is trained on the training cases that do not
+show the source of its host. With "donor", none of them shows the source of the pasted object
+either; with "editor", none is of the family of the case (quick edits, programs of editors,
+laundered ones); with "exporter", none was exported in the same way; with "trainer", none has a host
+that was trained by the same strategy; with "all", none shares any of these. One network scores, not
+an ensemble, with novelty and discriminant.
 """
 
 import dataclasses
@@ -39,6 +40,8 @@ from gsc_jax.forensics.places import find_places
 
 SCORED = FIRST_SEED + 1
 """Seed of the cases that are scored: whole hosts, also edited by programs."""
+HOSTS = 2
+"""Hosts of each source whose cases are scored."""
 LEAST = 8
 """Cases that a network is trained on at least."""
 
@@ -157,11 +160,11 @@ def examples_of(args: LeaveOutArgs) -> list[Examples]:
     return [one for one in made if one.share > 0]
 
 
-def scored_cases(args: LeaveOutArgs, most: int | None = None) -> Iterator[tuple[str, BankCase]]:
-    """Whole cases with their hosts, those of a source together, of `most` hosts of each source."""
+def scored_cases(args: LeaveOutArgs) -> Iterator[tuple[str, BankCase]]:
+    """Whole cases with their hosts, `HOSTS` of each source, those of a source together."""
     ordered = sorted(hosts(args.bank, args.data), key=source_of)
     sources = itertools.groupby(ordered, key=source_of)
-    names = [name for _, own in sources for name in itertools.islice(own, most)]
+    names = [name for _, own in sources for name in itertools.islice(own, HOSTS)]
     for host, edit in tqdm(list(itertools.product(names, EDITS)), desc="cases", disable=None):
         if case := stored_case(host, edit, SCORED, args.bank, args.data, args.keep):
             yield host, case

@@ -15,6 +15,7 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -104,7 +105,7 @@ def _optimiser() -> optax.GradientTransformation:
 @jax.jit  # here, and not in `train_network`, so that networks of one shape compile once
 def _step(
     layers: Layers, state: optax.OptState, values: np.ndarray, key: jax.Array
-) -> tuple[Layers, optax.OptState]:
+) -> tuple[Any, optax.OptState]:
     gradients = jax.grad(scene_loss)(layers, values, key)
     updates, state = _optimiser().update(gradients, state, layers)
     return optax.apply_updates(layers, updates), state

@@ -24,24 +24,38 @@ from gsc_jax.forensics.classifier import (
     smoothed_log_odds,
 )
 from gsc_jax.forensics.features import compute_features
+from gsc_jax.forensics.places import Places
 from gsc_jax.scene import InputError
+from gsc_jax.scene.neighbours import neighbourhoods
 
 SCENES = ("a", "b", "c")
 QUICK_SEED = FIRST_SEED + PROGRAM_SEEDS
 
 
 def scene_output(edit: str, rng: np.random.Generator) -> train.SceneOutput:
-    """A scene whose log odds are twice those of the networks, plus the novelty, less 1."""
+    """A scene whose log odds are twice those of the networks, plus the novelty, less 1.
+
+    Each Gaussian is a place of its own, with the same statistics, so that the discriminant is 0.
+    """
     networks, novelty = rng.normal(-1, 1.5, 20_000), rng.normal(0, 1, 20_000)
     networks[:64] = 6 if edit != NO_EDIT else 1
     labels = rng.random(20_000) < expit(2 * networks + novelty - 1)
+    means = np.linspace(0, 1, 20_000)[:, None] * np.ones(3)
+    places = Places(
+        rows=np.arange(20_000),
+        starts=np.arange(20_000),
+        centers=means,
+        around=neighbourhoods(means.astype(np.float32), 2)[0],
+        statistics=np.zeros((20_000, 1)),
+        names=("size.0",),
+    )
     return train.SceneOutput(
         edit=edit,
         networks=networks,
+        places=places,
         novelty=novelty,
         labels=labels if edit != NO_EDIT else np.zeros(20_000, bool),
-        means=np.linspace(0, 1, 20_000)[:, None] * np.ones(3),
-        places=None,
+        means=means,
     )
 
 
@@ -208,7 +222,8 @@ def test_whole_cases_calibrate_only_folds_that_saw_no_part_of_them(small_rooms, 
     ]
     outputs = train.scene_outputs(case, "room-1-mcmc", folds)
     assert set(outputs) == {None, "b"}
-    assert len(outputs["b"].networks) == len(outputs["b"].novelty) == len(case.labels)
+    assert outputs["b"].columns().shape == (len(case.labels), 2)
+    assert outputs["b"].raw(classifier).shape == case.labels.shape
     assert outputs["b"].edit == "removal"
 
 

@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from gsc_jax.benchmark.scenes import concatenate, make_room
-from gsc_jax.forensics.calibration import Classification
+from gsc_jax.forensics.calibration import Classification, peak_log_odds
 from gsc_jax.forensics.copy_move import copy_move
 from gsc_jax.forensics.evidence import LOCAL_TRACES, ForensicEvidence, combine
 from gsc_jax.forensics.row_order import row_order
@@ -116,3 +116,8 @@ def two_groups(seed: int, edited: int) -> np.ndarray:
     """Log odds of 20,000 Gaussians, of which the last ones are higher."""
     rng = np.random.default_rng(seed)
     return np.append(rng.normal(-4, 0.6, 20_000 - edited), rng.normal(1.5, 1, edited))
+
+
+def peak_of(log_odds: np.ndarray) -> float:
+    """Peak of log odds of Gaussians that lie along a line in the order of the rows."""
+    return peak_log_odds(log_odds, np.arange(len(log_odds))[:, None] * np.ones(3))

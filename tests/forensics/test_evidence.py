@@ -6,7 +6,16 @@ import jax
 import numpy as np
 import pytest
 from export import export
-from forensics_cases import BASE, PEAK, TRACES, changed, classified, evidence_of, two_groups
+from forensics_cases import (
+    BASE,
+    PEAK,
+    TRACES,
+    changed,
+    classified,
+    evidence_of,
+    peak_of,
+    two_groups,
+)
 from scipy.special import expit, logit
 
 from gsc_jax import locate
@@ -112,19 +121,23 @@ def test_thresholds_of_scores_are_exclusive_and_that_of_the_scene_is_inclusive()
 @pytest.mark.parametrize("edited", [400, 5_000])
 @pytest.mark.parametrize("probability", [0.3, 0.9])
 def test_labels_are_above_the_gap_however_sure_the_classifier_is(edited: int, probability: float):
-    labels = estimate_from_attributes(evidence_of(two_groups(0, edited), probability)).labels
+    log_odds = two_groups(0, edited)
+    evidence = evidence_of(log_odds, probability, peak=peak_of(log_odds))
+    labels = estimate_from_attributes(evidence).labels
     assert labels[-edited:].mean() > 0.97
     assert labels[:-edited].mean() < 0.02
 
 
 def test_traces_that_mark_little_above_the_gap_do_not_identify_the_edit():
     log_odds = two_groups(1, 2_000)
-    few = estimate_from_attributes(evidence_of(log_odds, rows=(0, -1))).labels
+    peak = peak_of(log_odds)
+    few = estimate_from_attributes(evidence_of(log_odds, rows=(0, -1), peak=peak)).labels
     assert few[0]
     assert few[-2_000:].mean() > 0.97
-    unsure = estimate_from_attributes(evidence_of(log_odds, 0.4, rows=(0, -1))).labels
+    unsure = estimate_from_attributes(evidence_of(log_odds, 0.4, rows=(0, -1), peak=peak)).labels
     assert unsure.sum() < few.sum(), "the trace alone would call the scene edited"
-    most = estimate_from_attributes(evidence_of(log_odds, rows=tuple(range(-1_500, 0)))).labels
+    rows = tuple(range(-1_500, 0))
+    most = estimate_from_attributes(evidence_of(log_odds, rows=rows, peak=peak)).labels
     assert most[-1_500:].all()
     assert most[-2_000:-1_500].mean() < 0.9
 

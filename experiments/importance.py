@@ -8,7 +8,7 @@ For each source and each group, networks are trained on the cases of the other s
 columns of the group, and score cases of two hosts of the source; novelty and discriminant are
 computed without the group, too. The last rows leave out novelty, the networks, and the
 discriminant. Groups may replace each other: two that lose nothing alone may lose something
-together, which `--together` measures.
+together, which `--together` measures. The weight of the novelty is that of the package.
 """
 
 import dataclasses

@@ -1,4 +1,4 @@
-"""What the classifier knows of cases when more than their host is new to it.
+"""AUC of the classifier on cases with which the training shares less than usual.
 
     python experiments/captures.py
     python experiments/train_classifier.py --keep .cues
@@ -6,10 +6,11 @@
 
 For each case of two hosts of every source, a network is trained on the training cases that do not
 show the source of its host. With "donor", none of them shows the source of the pasted object
-either; with "editor", none is of the family of the case (quick edits, programs of editors,
-laundered ones); with "exporter", none was exported in the same way; with "trainer", none has a host
-that was trained by the same strategy; with "all", none shares any of these. One network scores, not
-an ensemble, with novelty and discriminant.
+either; with "editor", none is of the family of the case (quick edits, programs of editors, or
+laundered ones whatever the editor); with "exporter", none was exported in the same way; with
+"trainer", none has a host that was trained by the same strategy; with "all", none shares any of
+these. One network scores, not an ensemble, with novelty, whose weight is that of the package, and
+discriminant.
 """
 
 import dataclasses

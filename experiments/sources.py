@@ -5,7 +5,7 @@
 
 A source is a scene with its captures. For each, networks are trained on the edits of growing random
 sets of hosts of the other sources, and applied to edits of its own hosts, each after one exporter
-or harmless history. With no host, novelty alone decides, which needs no training. The objects that
+or harmless history. With no host, novelty and discriminant decide, untrained. The objects that
 are pasted were pasted into other hosts in training, too, and none is cut out of another source.
 Edits are quick ones, of parts of the real hosts and of made ones of another seed. Novelty has the
 weight of the classifier of the package, which was chosen on all sources.

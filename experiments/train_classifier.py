@@ -6,7 +6,8 @@
 It learns of the cases of bank.py. The classifier of the package is trained on all sources; the
 tables are measured with those that leave out a scene and its captures. A classifier is an ensemble
 of networks. It is calibrated on whole cases, each by a network that was trained without its host,
-too, and is slightly less sure than the ensemble; so is the weight of the novelty chosen.
+too, and is slightly less sure than the ensemble. A first fit chooses the weight of the novelty, a
+second one, with the discriminant, calibrates.
 """
 
 import dataclasses
@@ -58,7 +59,7 @@ CENTRING = 0.01
 HIDDEN = (64, 32)
 """Units of the hidden layers."""
 STEPS = 400
-"""Of the training; 1000 gave an AUC per Gaussian only 0.002 higher on 69 cases (by hand)."""
+"""Steps of training; 1000 gave an AUC per Gaussian only 0.002 higher on 69 cases (by hand)."""
 LEARNING_RATE, WEIGHT_DECAY, DROPOUT, NOISE = 2e-3, 1e-2, 0.4, 0.3
 
 Networks = tuple[Layers, ...]

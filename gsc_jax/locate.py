@@ -50,7 +50,7 @@ class Result:
         reliability: Reliability of each mask by camera name; empty if the method infers none.
         masks: Tampered pixels of every view, (H, W) bool, by camera name.
         probabilities: Probability maps of the 2D detector, (H, W) float16, by camera name.
-        seen: Gaussians visible in a view; without a detector, usable ones; shape (N,) bool.
+        seen: Gaussians visible in a view, or without detector with usable attributes, (N,) bool.
         group_sizes: Sizes of G_h, G_m and G_l in every iteration, shape (iterations, 3).
         rank: Share of the other parts of the scene that stand out more by the prior than what the
             masks label; None where it was not asked.

@@ -39,7 +39,7 @@ class FolderDetector:
     def __init__(self, path: str | Path, *, max_bytes: int | None = None):
         """List the images of a folder and its subfolders; InputError if there are none.
 
-        They are read later, each in at most `max_bytes` of memory, by default `memory_limit`.
+        Read later; larger ones than `max_bytes` in memory are refused; see `memory_limit`.
         """
         self.path = Path(path)
         self._limit = max_bytes

@@ -23,7 +23,7 @@ MAX_BYTES_IN_MEMORY = 2**30
 class ArrayStore:
     """Arrays by kind and name of a view.
 
-    One store serves one run: a scene, its cameras and a detector. Threads add arrays, each once.
+    A store serves one scene, its cameras and one detector. Threads may add arrays, each once.
 
     Args:
         folder: A folder for all arrays, created if missing; None for a temporary one (TMPDIR

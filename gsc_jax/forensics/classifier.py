@@ -65,7 +65,7 @@ def combined_log_odds(features: Features, means: np.ndarray, classifier: Classif
 
 
 def with_places(networks: np.ndarray, places: Places, novel: np.ndarray | float) -> np.ndarray:
-    """Log odds (N,) plus weighted novelty (P,), and the discriminant that both begin, (N,)."""
+    """Log odds (N,) plus weighted novelty (P,), plus the discriminant starting from both, (N,)."""
     added = discriminant(places, places.averaged(networks) + novel)
     return networks + places.spread_out(novel + DISCRIMINANT * added)
 

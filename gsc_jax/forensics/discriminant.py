@@ -1,4 +1,4 @@
-"""Discriminant: what the places that stand out have in common, and the rest of the scene has not.
+"""Discriminant: what distinguishes the places that stand out from the rest of the scene.
 
 The networks learned of other scenes what editing leaves. In the scene at hand, the places that they
 and the novelty raise are a first guess; a linear discriminant (Fisher, 1936) between these and the
@@ -13,13 +13,13 @@ from gsc_jax.forensics.places import Places
 RIDGE = 0.3
 """Added to the variances, which are about 1."""
 STEEPNESS = 2.0
-"""Factor of the log odds above half of the way from their median to their peak: the first guess."""
+"""Slope of the sigmoid of the first guess, whose centre is half way from median to peak."""
 MAX_DISCRIMINANT = 12.0
 """Clip the discriminant to this magnitude."""
 
 
 def discriminant(places: Places, log_odds: np.ndarray) -> np.ndarray:
-    """Log odds of P places by a discriminant that log odds (P,) begin, shape (P,)."""
+    """Log odds of P places by a discriminant that starts from log odds (P,), shape (P,)."""
     values, level = places.statistics, (np.median(log_odds) + log_odds.max()) / 2
     inside = expit(STEEPNESS * (log_odds - level))
     centers = [weights @ values / weights.sum() for weights in (inside, 1 - inside)]

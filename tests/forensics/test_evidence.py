@@ -128,7 +128,7 @@ def test_labels_are_above_the_gap_however_sure_the_classifier_is(edited: int, pr
     assert labels[:-edited].mean() < 0.02
 
 
-def test_traces_that_mark_little_above_the_gap_do_not_identify_the_edit():
+def test_traces_that_mark_little_above_the_level_do_not_identify_the_edit():
     log_odds = two_groups(1, 2_000)
     peak = peak_of(log_odds)
     few = estimate_from_attributes(evidence_of(log_odds, rows=(0, -1), peak=peak)).labels

@@ -156,7 +156,7 @@ def labels_sentence(
 ) -> str:
     """State how many of all Gaussians are labelled as tampered, and which share they cover.
 
-    Without evidence of editing they are called candidates. `covered` is a mean over `views` views.
+    Without evidence of editing they are candidates. `covered` is the mean share of tampered pixels.
     """
     count = f"{views} view{'' if views == 1 else 's'}"
     if not tampered:

@@ -65,7 +65,7 @@ class RobustEstimator(Estimator):
         neighbours: Number of neighbours for smoothing.
         prior_weight: Weight of the prior, in [0, 1]; 0 ignores it, and below 0.5 it does not
             decide between regions that masks label.
-        min_verdict: Nothing is labelled below this scene probability, with and without the prior.
+        min_verdict: Nothing is labelled if the scene probability is lower with and without prior.
         tolerance: With a network as detector, views are added until they change less than this
             share of the labelled weight; 0 uses all views.
         threshold: Probability above which a Gaussian is labelled.

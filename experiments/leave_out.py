@@ -19,7 +19,16 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from bank import BANK, FIRST_SEED, BankCase, hosts, source_of, training_seeds
+from bank import (
+    BANK,
+    FIRST_SEED,
+    MADE_HOSTS,
+    PROGRAM_SEEDS,
+    BankCase,
+    hosts,
+    source_of,
+    training_seeds,
+)
 from classifier_examples import Examples, make_examples, stored_case
 from native import NativeArgs
 from runner import measured, start
@@ -28,7 +37,7 @@ from tqdm import tqdm
 from train_classifier import train_network
 
 from gsc_jax.benchmark.metrics import auc
-from gsc_jax.benchmark.tamper import EDITS
+from gsc_jax.benchmark.tamper import EDITS, Edit
 from gsc_jax.forensics.classifier import (
     Layers,
     default_classifier,
@@ -41,6 +50,8 @@ from gsc_jax.forensics.places import find_places
 
 SCORED = FIRST_SEED + 1
 """Seed of the cases that are scored: whole hosts, also edited by programs."""
+QUICK_SEEDS = FIRST_SEED + PROGRAM_SEEDS, FIRST_SEED + PROGRAM_SEEDS + 1
+"""Seeds of a quick run, to train and to score: quick edits."""
 HOSTS = 2
 """Hosts of each source whose cases are scored."""
 LEAST = 8
@@ -150,24 +161,34 @@ def report(rows: Frame) -> str:
     return f"**AUC per Gaussian by what is left out of the training**, cases: {counted}\n\n{table}"
 
 
+def chosen(args: LeaveOutArgs) -> tuple[list[str], Sequence[Edit], Path]:
+    """Hosts, kinds of edits and folder; a quick run has made hosts, one kind, its own folder."""
+    if args.quick:
+        return list(MADE_HOSTS), EDITS[1:2], args.out / "cues"
+    return hosts(args.bank, args.data), EDITS, args.keep
+
+
 def examples_of(args: LeaveOutArgs) -> list[Examples]:
     """All training cases, those of a host together."""
-    jobs = itertools.product(hosts(args.bank, args.data), EDITS)
+    names, edits, keep = chosen(args)
+    keep.mkdir(parents=True, exist_ok=True)
     made = [
-        make_examples(host, edit, seed, args.bank, args.data, args.keep)
-        for host, edit in tqdm(list(jobs), desc="examples", disable=None)
-        for seed in training_seeds(host)
+        make_examples(host, edit, seed, args.bank, args.data, keep)
+        for host, edit in tqdm(list(itertools.product(names, edits)), desc="examples", disable=None)
+        for seed in (QUICK_SEEDS[:1] if args.quick else training_seeds(host))
     ]
     return [one for one in made if one.share > 0]
 
 
 def scored_cases(args: LeaveOutArgs) -> Iterator[tuple[str, BankCase]]:
     """Whole cases with their hosts, `HOSTS` of each source, those of a source together."""
-    ordered = sorted(hosts(args.bank, args.data), key=source_of)
-    sources = itertools.groupby(ordered, key=source_of)
-    names = [name for _, own in sources for name in itertools.islice(own, HOSTS)]
-    for host, edit in tqdm(list(itertools.product(names, EDITS)), desc="cases", disable=None):
-        if case := stored_case(host, edit, SCORED, args.bank, args.data, args.keep):
+    names, edits, keep = chosen(args)
+    sources = itertools.groupby(sorted(names, key=source_of), key=source_of)
+    scored = [name for _, own in sources for name in itertools.islice(own, HOSTS)]
+    seed = QUICK_SEEDS[1] if args.quick else SCORED
+    jobs = list(itertools.product(scored[:1] if args.quick else scored, edits))
+    for host, edit in tqdm(jobs, desc="cases", disable=None):
+        if case := stored_case(host, edit, seed, args.bank, args.data, keep):
             yield host, case
 
 

@@ -114,7 +114,7 @@ def trained_without(cases: Sequence[Examples], source: str, without: Groups) -> 
 def rows_of(
     host: str, case: BankCase, classifiers: Mapping[str, tuple[Groups, Classifier]]
 ) -> Iterator[Row]:
-    """Measure the AUC of a case with each classifier, and without each part of the first."""
+    """AUC of a case by each classifier, and without novelty, networks or discriminant."""
     features = compute_features(with_finite_scales(case.gaussians))
     own = {field.name: getattr(features, field.name) for field in dataclasses.fields(features)}
     means = np.asarray(case.gaussians.means, np.float32)

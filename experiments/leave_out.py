@@ -1,4 +1,4 @@
-"""AUC of the classifier on cases with which the training shares less than usual.
+"""AUC of classifiers trained without the donor, editor, exporter or trainer of an edited scene.
 
     python experiments/captures.py
     python experiments/train_classifier.py --keep .cues

@@ -1,6 +1,6 @@
 """Discriminant: what distinguishes the places that stand out from the rest of the scene.
 
-The networks learned of other scenes what editing leaves. In the scene at hand, the places that they
+The networks were trained on edits of other scenes. In the scene at hand, the places that they
 and the novelty raise are a first guess; a linear discriminant (Fisher, 1936) between these and the
 others weighs the statistics anew, as they differ here.
 """

@@ -1,4 +1,4 @@
-"""Discriminant: it finds the rest of what a first guess found in part, and changes nothing else."""
+"""A discriminant extends a first guess of half of an edit to the whole edit."""
 
 import dataclasses
 
@@ -24,7 +24,7 @@ def places_of(gaussians: Gaussians) -> Places:
 
 @pytest.fixture(scope="module")
 def edited() -> tuple[Places, np.ndarray]:
-    """A room of which a compact part has small Gaussians, and the mask of that part."""
+    """A room in which the Gaussians of one region were made smaller, and their mask."""
     means = np.asarray(ROOM.means)
     apart = np.linalg.norm(means - means[0], axis=1)
     part = apart < np.sort(apart)[1_000]

@@ -121,8 +121,7 @@ def rows_of(
     log_odds = {}
     for name, (without, classifier) in classifiers.items():
         reduced = ReducedFeatures(**own, without=without)
-        if (places := find_places(reduced, means)) is None:
-            return
+        places = find_places(reduced, means)
         novel = classifier.novelty * novelty(places)
         networks = smoothed_log_odds(features, classifier)
         log_odds[name] = with_places(networks, places, novel)

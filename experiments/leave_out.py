@@ -130,9 +130,7 @@ def rows_of(host: str, case: BankCase, trained: Trained) -> Iterator[Row]:
     """AUC of one case with each choice of what is left out; none where hardly any case is left."""
     features = compute_features(with_finite_scales(case.gaussians))
     classifier = default_classifier()
-    means = np.asarray(case.gaussians.means, np.float32)
-    if (places := find_places(features, means)) is None:
-        return
+    places = find_places(features, np.asarray(case.gaussians.means, np.float32))
     novel = classifier.novelty * novelty(places)
     key = {"host": host, "edit": case.edit, "family": case.family, "export": case.exporter}
     for name, left_out in LEFT_OUT.items():
@@ -142,7 +140,7 @@ def rows_of(host: str, case: BankCase, trained: Trained) -> Iterator[Row]:
             raw = with_places(smoothed_log_odds(features, one), places, novel)
             score = auc(raw, case.labels)
             yield key | {"left_out": name, "cases": len(learned), "auc": score}
-    score = auc(with_places(np.zeros(len(means)), places, novel), case.labels)
+    score = auc(with_places(np.zeros(len(case.labels)), places, novel), case.labels)
     yield key | {"left_out": "no network", "cases": 0, "auc": score}
 
 

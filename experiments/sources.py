@@ -107,12 +107,10 @@ def rows_of(
         return
     features = compute_features(with_finite_scales(case.gaussians))
     classifier = default_classifier()
-    means = np.asarray(case.gaussians.means, np.float32)
-    if (places := find_places(features, means)) is None:
-        return
+    places = find_places(features, np.asarray(case.gaussians.means, np.float32))
     novel = classifier.novelty * novelty(places)
     key = {"source": source, "host": host, "method": edit, "seed": seed}
-    score = auc(with_places(np.zeros(len(means)), places, novel), case.labels)
+    score = auc(with_places(np.zeros(len(case.labels)), places, novel), case.labels)
     yield key | {"hosts": 0, "names": "", "auc": score}
     for names, layers in networks[source].items():
         one = dataclasses.replace(classifier, networks=(layers,))

@@ -31,7 +31,7 @@ from scipy.special import expit
 from tqdm import tqdm
 
 from gsc_jax.benchmark.tamper import EDITS
-from gsc_jax.forensics.calibration import peak_log_odds
+from gsc_jax.forensics.calibration import calibrate
 from gsc_jax.forensics.classifier import (
     Classifier,
     Layers,
@@ -210,14 +210,13 @@ def make_fold(
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class SceneOutput:
-    """A case: output of the networks and labels (N,), novelty of places (P,), means (N, 3)."""
+    """A case: output of the networks and labels (N,), places, and their novelty (P,)."""
 
     edit: str
     networks: np.ndarray
     places: Places
     novelty: np.ndarray
     labels: np.ndarray
-    means: np.ndarray
 
     def raw(self, classifier: Classifier) -> np.ndarray:
         """Raw log odds, as in `combined_log_odds`, shape (N,)."""
@@ -235,11 +234,8 @@ Outputs = dict[str | None, SceneOutput]
 def scene_outputs(case: BankCase, host: str, folds: Sequence[Fold]) -> Outputs:
     """Outputs for a whole case by the held-out scene of each fold that did not see its sources."""
     features = compute_features(with_finite_scales(case.gaussians))
-    means = np.asarray(case.gaussians.means, np.float32)
-    places, outputs = find_places(features, means), {}
-    if places is None:
-        return outputs
-    novel = novelty(places)
+    places = find_places(features, np.asarray(case.gaussians.means, np.float32))
+    novel, outputs = novelty(places), {}
     for fold in folds:
         if fold.heldout not in case.sources:
             one = dataclasses.replace(fold.classifier, networks=(fold.others[source_of(host)],))
@@ -249,7 +245,6 @@ def scene_outputs(case: BankCase, host: str, folds: Sequence[Fold]) -> Outputs:
                 places=places,
                 novelty=novel,
                 labels=case.labels,
-                means=means,
             )
     return outputs
 
@@ -278,25 +273,20 @@ def calibrated(classifier: Classifier, outputs: Sequence[SceneOutput]) -> Classi
     edited = [one for one in outputs if one.edit != NO_EDIT]
     factor, of_novelty, _ = _gaussian_fit(edited, [one.columns() for one in edited])
     classifier = dataclasses.replace(classifier, novelty=float(of_novelty / factor))
-    raw = [one.raw(classifier) for one in outputs]
-    own = [values[:, None] for values, one in zip(raw, outputs, strict=True) if one.edit != NO_EDIT]
-    factor, shift = _gaussian_fit(edited, own)
+    line = _gaussian_fit(edited, [one.raw(classifier)[:, None] for one in edited])
+    classifier = dataclasses.replace(classifier, calibration=tuple(line.tolist()))
+    return dataclasses.replace(classifier, scene=_scene_fit(classifier, outputs))
+
+
+def _scene_fit(classifier: Classifier, outputs: Sequence[SceneOutput]) -> tuple[float, float]:
+    """Factor and shift from the span of a scene to log odds that it was edited."""
     is_edited = np.array([one.edit != NO_EDIT for one in outputs])
-    peaks = np.array(
-        [
-            factor * (peak_log_odds(values, one.means) - float(np.median(values)))
-            for values, one in zip(raw, outputs, strict=True)
-        ]
-    )
+    found = [calibrate(one.raw(classifier), one.places, classifier) for one in outputs]
+    spans = np.array([one.span for one in found])
     # The prior probability that a scene was edited is one half.
     weights = np.where(is_edited, 1 / is_edited.sum(), 1 / (~is_edited).sum())
-    scale = float(logistic_fit(peaks[:, None], is_edited, weights, damping=1e-2)[0])
-    level = float(np.quantile(peaks[~is_edited], 1 - FALSE_ALARMS))
-    return dataclasses.replace(
-        classifier,
-        calibration=(float(factor), float(shift)),
-        scene=(scale, -scale * level),
-    )
+    scale = float(logistic_fit(spans[:, None], is_edited, weights, damping=1e-2)[0])
+    return scale, -scale * float(np.quantile(spans[~is_edited], 1 - FALSE_ALARMS))
 
 
 def _gaussian_fit(edited: Sequence[SceneOutput], columns: Sequence[np.ndarray]) -> np.ndarray:

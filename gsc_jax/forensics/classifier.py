@@ -18,7 +18,7 @@ import numpy as np
 from gsc_jax.forensics.discriminant import discriminant
 from gsc_jax.forensics.features import Features
 from gsc_jax.forensics.novelty import novelty
-from gsc_jax.forensics.places import Places, find_places
+from gsc_jax.forensics.places import Places
 from gsc_jax.scene.parallel import blocks
 
 BLOCK = 2**15
@@ -55,13 +55,10 @@ class Classifier:
     scene: tuple[float, float]
 
 
-def combined_log_odds(features: Features, means: np.ndarray, classifier: Classifier) -> np.ndarray:
+def combined_log_odds(features: Features, places: Places, classifier: Classifier) -> np.ndarray:
     """Raw log odds of N Gaussians by networks, novelty and discriminant, shape (N,) float32."""
-    networks = smoothed_log_odds(features, classifier)
-    places = find_places(features, means)
-    if places is None:
-        return networks
-    return with_places(networks, places, classifier.novelty * novelty(places))
+    novel = classifier.novelty * novelty(places)
+    return with_places(smoothed_log_odds(features, classifier), places, novel)
 
 
 def with_places(networks: np.ndarray, places: Places, novel: np.ndarray | float) -> np.ndarray:

@@ -20,13 +20,20 @@ MAX_DISCRIMINANT = 12.0
 
 def discriminant(places: Places, log_odds: np.ndarray) -> np.ndarray:
     """Log odds of P places by a discriminant that starts from log odds (P,), shape (P,)."""
-    values, level = places.statistics, (np.median(log_odds) + log_odds.max()) / 2
-    inside = expit(STEEPNESS * (log_odds - level))
+    level = (np.median(log_odds) + log_odds.max()) / 2
+    scores = linear_discriminant(places.statistics, expit(STEEPNESS * (log_odds - level)))
+    return np.clip(places.around.mean(scores), -MAX_DISCRIMINANT, MAX_DISCRIMINANT)
+
+
+def linear_discriminant(values: np.ndarray, inside: np.ndarray) -> np.ndarray:
+    """Scores (M,) of values (M, D), above 0 nearer to those inside than to the others.
+
+    `inside` are weights (M,) in [0, 1]; neither they nor their complements may all be 0.
+    """
     centers = [weights @ values / weights.sum() for weights in (inside, 1 - inside)]
     covariance = RIDGE * np.eye(values.shape[1])
     for weights, center in zip((inside, 1 - inside), centers, strict=True):
         apart = values - center
         covariance += (apart.T * weights) @ apart / len(values)
     normal = np.linalg.solve(covariance, centers[0] - centers[1])
-    scores = places.around.mean((values - (centers[0] + centers[1]) / 2) @ normal)
-    return np.clip(scores, -MAX_DISCRIMINANT, MAX_DISCRIMINANT)
+    return (values - (centers[0] + centers[1]) / 2) @ normal

@@ -16,6 +16,8 @@ from gsc_jax.forensics import features
 from gsc_jax.forensics.calibration import MAX_LOG_ODDS, Classification, calibrate, label_level
 from gsc_jax.forensics.classifier import Classifier, combined_log_odds, default_classifier
 from gsc_jax.forensics.copy_move import copy_move
+from gsc_jax.forensics.edge import sharpened
+from gsc_jax.forensics.places import find_places
 from gsc_jax.forensics.quantisation import quantisation
 from gsc_jax.forensics.row_order import row_order
 from gsc_jax.forensics.traces import NEIGHBOURS, Trace, any_trace, quaternion_convention, sh_degree
@@ -64,19 +66,28 @@ def forensic_evidence(
     """
     classifier = classifier or default_classifier()
     host = jax.tree.map(np.asarray, gaussians)
-    rows, known = np.flatnonzero(usable_rows(host)), np.zeros(len(host), bool)
+    rows = np.flatnonzero(usable_rows(host))
     # Too few have no surroundings. Neighbours in space are close in memory, which is faster.
     enough = len(rows) > features.NEIGHBOURS
     rows = rows[order_of_leaves(host.means[rows])] if enough else rows[:0]
-    known[rows] = True
     sound, in_file = features.with_finite_scales(host.take(rows)), np.argsort(rows)
-    means = np.asarray(sound.means, np.float32)
     computed = features.compute_features(sound) if enough else None
     with ThreadPoolExecutor(1) as beside:
         found = beside.submit(_traces, sound, computed, in_file) if with_traces else None
-        raw = combined_log_odds(computed, means, classifier) if computed else np.zeros(0)
-        output = calibrate(raw[in_file], means[in_file], known, classifier)
-    return combine(output, [_expanded(trace, known) for trace in (found.result() if found else ())])
+        output = _classified(computed, np.asarray(sound.means, np.float32), classifier)
+    output = output.in_file(rows, len(host), classifier.base)
+    traces = found.result() if found else ()
+    return combine(output, [_expanded(trace, output.known) for trace in traces])
+
+
+def _classified(
+    computed: features.Features | None, means: np.ndarray, classifier: Classifier
+) -> Classification:
+    if not computed:
+        return calibrate(np.zeros(0), None, classifier)
+    places = find_places(computed, means)
+    output = calibrate(combined_log_odds(computed, places, classifier), places, classifier)
+    return sharpened(output, computed, places)
 
 
 def _traces(

@@ -36,6 +36,10 @@ class Places:
         """Means over the Gaussians of each place, (N, ...) to (P, ...)."""
         return _averaged(values, self.rows, self.starts)
 
+    def peak(self, values: np.ndarray) -> float:
+        """Highest mean around a place of values of the Gaussians (N,)."""
+        return float(self.around.mean(self.averaged(values)).max())
+
     def spread_out(self, values: np.ndarray) -> np.ndarray:
         """Values of the places (P,) for their Gaussians, shape (N,) float32."""
         result = np.empty(len(self.rows), np.float32)
@@ -43,13 +47,11 @@ class Places:
         return result
 
 
-def find_places(features: Features, means: np.ndarray) -> Places | None:
-    """Divide N Gaussians with these means (N, 3) into places; None if there are too few places."""
+def find_places(features: Features, means: np.ndarray) -> Places:
+    """Divide N > `PLACE` Gaussians with these means (N, 3) into places."""
     rows, starts = parts(means, max(PLACE, -(-2 * len(means) // MAX_PLACES)))
-    if len(starts) <= 2 * NEIGHBOURS:
-        return None
     centers = _averaged(means, rows, starts)
-    around, _ = neighbourhoods(centers.astype(np.float32), NEIGHBOURS)
+    around, _ = neighbourhoods(centers.astype(np.float32), min(NEIGHBOURS, len(starts) - 1))
     # Some columns at a time, since all of them take as much memory as the scene.
     moments = [
         np.stack([_averaged(own, rows, starts), _averaged(own * own, rows, starts)])

@@ -55,7 +55,6 @@ def scene_output(edit: str, rng: np.random.Generator) -> train.SceneOutput:
         places=places,
         novelty=novelty,
         labels=labels if edit != NO_EDIT else np.zeros(20_000, bool),
-        means=means,
     )
 
 

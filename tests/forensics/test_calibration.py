@@ -4,37 +4,46 @@ import dataclasses
 
 import numpy as np
 import pytest
-from forensics_cases import BASE, classified, two_groups
+from forensics_cases import BASE, classified, room, two_groups
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gsc_jax.forensics.calibration import MAX_LOG_ODDS, calibrate, label_level
 from gsc_jax.forensics.classifier import default_classifier
+from gsc_jax.forensics.features import compute_features
+from gsc_jax.forensics.places import find_places
 
-MEANS = np.random.default_rng(0).normal(size=(300, 3))
-ALL = np.ones(300, bool)
+ROOM = room(1_000)
+PLACES = find_places(compute_features(ROOM), ROOM.means)
 
 
 def test_log_odds_are_bounded():
     steep = dataclasses.replace(default_classifier(), calibration=(40.0, 0.0))
-    raw = np.linspace(-20, 20, 300, dtype=np.float32)
-    assert np.abs(calibrate(raw, MEANS, ALL, steep).log_odds).max() == pytest.approx(MAX_LOG_ODDS)
+    raw = np.linspace(-20, 20, len(ROOM), dtype=np.float32)
+    assert np.abs(calibrate(raw, PLACES, steep).log_odds).max() == pytest.approx(MAX_LOG_ODDS)
 
 
 def test_median_of_a_scene_unlike_the_training_data_is_at_most_the_base_rate():
-    output = calibrate(np.full(300, 20, np.float32), MEANS, ALL, default_classifier())
-    assert np.median(output.log_odds) <= output.base + 1e-4
+    raw, classifier = np.full(len(ROOM), 20, np.float32), default_classifier()
+    output = calibrate(raw, PLACES, classifier)
+    assert np.median(output.log_odds) <= classifier.base + 1e-4
 
 
 def test_unknown_gaussians_do_not_change_the_level():
     # No known log odds are near the base rate, where the unknown ones are.
     output = classified(np.append(np.full(5_000, -6.0), np.linspace(-2, 7, 2_000)))
-    padded = dataclasses.replace(
-        output,
-        known=np.append(output.known, np.zeros(5_000, bool)),
-        log_odds=np.append(output.log_odds, np.full(5_000, BASE, np.float32)),
-    )
+    rows = np.random.default_rng(0).permutation(12_000)[:7_000]
+    padded = output.in_file(rows, 12_000, BASE)
     assert label_level(padded) == label_level(output)
+    assert (padded.log_odds[~padded.known] == BASE).all()
+    np.testing.assert_array_equal(padded.log_odds[rows], output.log_odds)
+
+
+def test_without_gaussians_all_is_the_base_rate():
+    classifier = default_classifier()
+    output = calibrate(np.zeros(0), None, classifier)
+    assert output.level == output.peak == output.middle == classifier.base
+    assert 0 < output.scene_probability < 0.2
 
 
 def test_level_without_a_peak_is_the_base_rate():
@@ -50,7 +59,7 @@ def test_level_lies_between_the_median_and_the_peak_and_moves_with_them(
     peak = float(log_odds.max())
     one = classified(log_odds, peak=peak)
     other = classified(factor * log_odds + shift, peak=factor * peak + shift)
-    other = dataclasses.replace(other, base=factor * one.base + shift)
+    other = dataclasses.replace(other, middle=factor * one.middle + shift)
     level = label_level(one)
     assert np.median(log_odds) < level < peak
     assert label_level(other) == pytest.approx(factor * level + shift, rel=1e-4, abs=1e-4)
@@ -58,6 +67,6 @@ def test_level_lies_between_the_median_and_the_peak_and_moves_with_them(
 
 @pytest.mark.parametrize("shift", [-3.0, 2.0])
 def test_the_scene_probability_does_not_depend_on_where_the_log_odds_are(shift):
-    raw, classifier = np.random.default_rng(1).normal(-4, 1, 300), default_classifier()
-    one, other = (calibrate(values, MEANS, ALL, classifier) for values in (raw, raw + shift))
+    raw, classifier = np.random.default_rng(1).normal(-4, 1, len(ROOM)), default_classifier()
+    one, other = (calibrate(values, PLACES, classifier) for values in (raw, raw + shift))
     assert one.scene_probability == pytest.approx(other.scene_probability, rel=1e-3)

@@ -17,9 +17,7 @@ ROOM = make_room(count=12_000, seed=5)
 
 
 def places_of(gaussians: Gaussians) -> Places:
-    found = find_places(compute_features(gaussians), np.asarray(gaussians.means, np.float32))
-    assert found is not None
-    return found
+    return find_places(compute_features(gaussians), np.asarray(gaussians.means, np.float32))
 
 
 @pytest.fixture(scope="module")

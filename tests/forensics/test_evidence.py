@@ -22,6 +22,7 @@ from gsc_jax import locate
 from gsc_jax.benchmark.metrics import auc, truth_mask
 from gsc_jax.benchmark.scenes import make_room, tampered_room
 from gsc_jax.forensics.calibration import LEVEL_BESIDE_TRACES, MAX_LOG_ODDS
+from gsc_jax.forensics.classifier import default_classifier
 from gsc_jax.forensics.evidence import (
     add_traces,
     combine,
@@ -62,7 +63,7 @@ def test_permuting_rows_permutes_log_odds():
 def test_invalid_rows_are_unknown_and_change_no_others():
     evidence = forensic_evidence(changed(SAVED, slice(20), means=np.nan))
     assert not evidence.known[:20].any()
-    assert (evidence.log_odds[:20] == np.float32(evidence.classification.base)).all()
+    assert (evidence.log_odds[:20] == np.float32(default_classifier().base)).all()
     assert np.isfinite(evidence.log_odds).all()
     assert auc(evidence.log_odds[20:], MADE.labels[20:]) > 0.9
 

@@ -50,39 +50,37 @@ class Classification:
         """Log odds above which Gaussians stand out from the scene."""
         return self.middle + LEVEL * self.span
 
-    def in_file(self, rows: np.ndarray, count: int, base: float) -> "Classification":
-        """The same for a file of `count` Gaussians, whose `rows` (N,) were classified."""
-        known, log_odds = np.zeros(count, bool), np.full(count, base, np.float32)
-        known[rows], log_odds[rows] = True, self.log_odds
-        return dataclasses.replace(self, known=known, log_odds=log_odds)
 
+def calibrate(raw: np.ndarray, places: Places, classifier: Classifier) -> Classification:
+    """Calibrate raw log odds (N,) of Gaussians in places.
 
-def calibrate(raw: np.ndarray, places: Places | None, classifier: Classifier) -> Classification:
-    """Calibrate raw log odds (N,) of Gaussians in places; of no Gaussians, there are no places."""
-    peak = middle = classifier.base
-    if places:
-        factor, shift = scene_calibration(raw, classifier)
-        raw = np.clip(factor * raw + shift, -MAX_LOG_ODDS, MAX_LOG_ODDS)
-        peak, middle = places.peak(raw), float(np.median(raw))
+    Most of a scene is authentic. If its median is above the base rate, the scene differs from the
+    training data, and all log odds are lowered until the median is at the base rate.
+    """
+    factor, shift = classifier.calibration
+    lowered = factor * raw + shift
+    lowered -= max(float(np.median(lowered)) - classifier.base, 0.0)
+    log_odds = np.clip(lowered, -MAX_LOG_ODDS, MAX_LOG_ODDS).astype(np.float32)
+    middle, peak = float(np.median(log_odds)), places.peak(log_odds)
     factor, shift = classifier.scene
     return Classification(
         known=np.ones(len(raw), bool),
-        log_odds=raw.astype(np.float32),
+        log_odds=log_odds,
         middle=middle,
         peak=peak,
         scene_probability=float(expit(factor * (peak - middle) + shift)),
     )
 
 
-def scene_calibration(raw: np.ndarray, classifier: Classifier) -> tuple[float, float]:
-    """Factor and shift from raw to calibrated log odds of the Gaussians of one scene.
-
-    Most of a scene is authentic. If its median is above the base rate, the scene differs from the
-    training data, and the shift is lowered until the median is at the base rate.
-    """
-    factor, shift = classifier.calibration
-    excess = factor * float(np.median(raw)) + shift - classifier.base
-    return factor, shift - max(excess, 0.0)
+def nothing_known(classifier: Classifier) -> Classification:
+    """Classification of no Gaussians."""
+    return Classification(
+        known=np.zeros(0, bool),
+        log_odds=np.zeros(0, np.float32),
+        middle=classifier.base,
+        peak=classifier.base,
+        scene_probability=float(expit(classifier.scene[1])),
+    )
 
 
 def label_level(scene: Classification, traces: Sequence[Trace] = ()) -> float:

@@ -13,7 +13,13 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from gsc_jax.forensics.traces import MIN_REGION, Trace, make_trace, region_scores
+from gsc_jax.forensics.traces import (
+    MIN_REGION,
+    Trace,
+    is_untrained,
+    make_trace,
+    region_scores,
+)
 from gsc_jax.scene import Gaussians
 from gsc_jax.scene.neighbours import order_of_leaves
 from gsc_jax.scene.parallel import in_blocks, usable_cores
@@ -50,6 +56,7 @@ def copy_move(
         similar = _nearest(similarity_invariants(gaussians), INVARIANT_RADIUS)[1]
         means = np.asarray(gaussians.means, np.float64)
         moves = np.maximum(*(moved_together(means, neighbours, rows) for rows in (alike, similar)))
+        moves[is_untrained(gaussians)] = 0
     scores = functools.partial(region_scores, min_share=0.6, min_outside=0.6)
     score = scores(moves > 0, neighbours)
     moves[_coincidences(score > 0.5, moves > MAX_SPREAD, neighbours)] = 0

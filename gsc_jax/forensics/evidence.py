@@ -13,7 +13,13 @@ from scipy.special import expit
 
 from gsc_jax.estimators.protocol import Finding, Prior
 from gsc_jax.forensics import features
-from gsc_jax.forensics.calibration import MAX_LOG_ODDS, Classification, calibrate, label_level
+from gsc_jax.forensics.calibration import (
+    MAX_LOG_ODDS,
+    Classification,
+    calibrate,
+    label_level,
+    nothing_known,
+)
 from gsc_jax.forensics.classifier import Classifier, combined_log_odds, default_classifier
 from gsc_jax.forensics.copy_move import copy_move
 from gsc_jax.forensics.edge import sharpened
@@ -67,45 +73,43 @@ def forensic_evidence(
     classifier = classifier or default_classifier()
     host = jax.tree.map(np.asarray, gaussians)
     rows = np.flatnonzero(usable_rows(host))
-    # Too few have no surroundings. Neighbours in space are close in memory, which is faster.
-    enough = len(rows) > features.NEIGHBOURS
+    enough = len(rows) > features.NEIGHBOURS  # fewer have no surroundings
+    # Neighbours in space are close in memory, which is faster.
     rows = rows[order_of_leaves(host.means[rows])] if enough else rows[:0]
-    sound, in_file = features.with_finite_scales(host.take(rows)), np.argsort(rows)
+    sound = features.with_finite_scales(host.take(rows))
     computed = features.compute_features(sound) if enough else None
     with ThreadPoolExecutor(1) as beside:
-        found = beside.submit(_traces, sound, computed, in_file) if with_traces else None
+        found = beside.submit(_traces, sound, computed, np.argsort(rows)) if with_traces else None
         output = _classified(computed, np.asarray(sound.means, np.float32), classifier)
-    output = output.in_file(rows, len(host), classifier.base)
-    traces = found.result() if found else ()
-    return combine(output, [_expanded(trace, output.known) for trace in traces])
+    place = np.full(len(host), -1)  # of each Gaussian of the file in the rows
+    place[rows] = np.arange(len(rows))
+    log_odds = np.append(output.log_odds, np.float32(classifier.base))[place]
+    output = dataclasses.replace(output, known=place >= 0, log_odds=log_odds)
+    traces = [
+        dataclasses.replace(trace, score=np.append(trace.score, np.float32(0))[place])
+        for trace in (found.result() if found else ())
+    ]
+    return combine(output, traces)
 
 
 def _classified(
     computed: features.Features | None, means: np.ndarray, classifier: Classifier
 ) -> Classification:
     if not computed:
-        return calibrate(np.zeros(0), None, classifier)
+        return nothing_known(classifier)
     places = find_places(computed, means)
-    output = calibrate(combined_log_odds(computed, places, classifier), places, classifier)
-    return sharpened(output, computed, places)
+    raw = combined_log_odds(computed, places, classifier)
+    return sharpened(calibrate(raw, places, classifier), computed, places)
 
 
 def _traces(
     sound: Gaussians, computed: features.Features | None, in_file: np.ndarray
 ) -> list[Trace]:
-    """All traces, in the order of the file; none are found without features."""
+    """All traces; none are found without features."""
     near = (computed.neighbourhoods.nearest if computed else np.zeros((0, 0), int))[:, :NEIGHBOURS]
     duplicates = computed.duplicates if computed else None
-    traces = [copy_move(sound, near, duplicates), *(trace(sound, near) for trace in LOCAL_TRACES)]
-    traces = [dataclasses.replace(trace, score=trace.score[in_file]) for trace in traces]
-    return [*traces, row_order(sound, in_file)]
-
-
-def _expanded(trace: Trace, rows: np.ndarray) -> Trace:
-    """The trace of some rows (N,) bool as one of all rows, with score 0 for the others."""
-    score = np.zeros(len(rows), np.float32)
-    score[rows] = trace.score
-    return dataclasses.replace(trace, score=score)
+    local = [trace(sound, near) for trace in LOCAL_TRACES]
+    return [copy_move(sound, near, duplicates), *local, row_order(sound, in_file)]
 
 
 def combine(output: Classification, traces: Sequence[Trace]) -> ForensicEvidence:

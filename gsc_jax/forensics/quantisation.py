@@ -9,7 +9,7 @@ split large scenes into tiles with a codebook each, so a large part with its own
 import numpy as np
 import scipy  # whose submodules load when they are first used
 
-from gsc_jax.forensics.traces import Trace, make_trace, region_scores
+from gsc_jax.forensics.traces import Trace, is_black, is_untrained, make_trace, region_scores
 from gsc_jax.scene import Gaussians
 
 MIN_REPEATS, MAX_FREE_REPEATS = 8, 2
@@ -49,11 +49,13 @@ def quantisation(gaussians: Gaussians, neighbours: np.ndarray) -> Trace:
         name: np.array([off_levels(column, neighbours) for column in np.asarray(values).T])
         for name, values in groups.items()
     }
+    trained = ~is_untrained(gaussians)
+    marks["colours"] &= ~is_black(gaussians.sh).T[:, None]
     # A tile has its own levels in all groups; an edit changes one, or has values off all levels.
     tile = np.all([mark[:, 1].mean(axis=0) > 0.5 for mark in marks.values()], axis=0)
     score, names = np.zeros(len(gaussians), np.float32), []
     for name, mark in marks.items():
-        odd = mark[:, 0] | mark[:, 1] & ~tile
+        odd = (mark[:, 0] | mark[:, 1] & ~tile) & trained
         one = region_scores(odd.mean(axis=0) > 0.5, neighbours)
         score = 1 - (1 - score) * (1 - one)
         names += [name] * bool((one > 0.5).any())

@@ -27,8 +27,8 @@ APPENDED_SCORE = 0.95
 
 def row_order(gaussians: Gaussians, in_file: np.ndarray | slice = slice(None)) -> Trace:
     """Detect rows at the end of an unsorted file unlike the rest; `in_file` is its order, (N,)."""
-    score = np.zeros(len(gaussians), np.float32)
-    score[appended_rows(gaussians, in_file)] = APPENDED_SCORE
+    score, order = np.zeros(len(gaussians), np.float32), np.arange(len(gaussians))[in_file]
+    score[order[appended_rows(gaussians, in_file)]] = APPENDED_SCORE
     found = "are the last of the file and differ from all other rows"
     absent = "The last rows of the file do not differ from the others."
     return make_trace("row-order", score, found, absent)

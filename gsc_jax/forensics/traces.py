@@ -11,7 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.special import expit, logit
 
-from gsc_jax.scene import Gaussians
+from gsc_jax.render.spherical_harmonics import Y0
+from gsc_jax.scene import Array, Gaussians
 from gsc_jax.scene.parallel import in_blocks
 
 NEIGHBOURS = 12
@@ -22,15 +23,21 @@ MAX_REGION_SHARE = 0.5
 """Share of the scene above which marks are the rule and not the exception."""
 MAX_OUTSIDE_RATE = 0.05
 """Rate of marks outside of the regions above which the scene itself produces them."""
-MAX_QUATERNION_RATE = 0.005
-"""The same for w < 0, 0.03 in scenes that follow w >= 0 in part, and for a length of 1, 0.02 in
-scenes that were normalised and then trained a little more."""
+MAX_RARE_RATE = 0.005
+"""The same for quaternions with w < 0 (0.03 in scenes that follow w >= 0 in part) or a length of 1
+(0.02 in scenes that were normalised and then trained a little more), and for harmonics of another
+degree (0.006 to 0.03 where an exporter rounds them to few values)."""
 MIN_MAGNITUDE_RATIO = 0.7
 """Least median |w| of quaternions with w < 0 in the regions, divided by that of the others there.
 Where a scene was turned after training, w is close to 0 where it changes its sign: the ratio was at
 most 0.49 in 300 turns of a capture, and at least 1.02 for ten pasted objects (by hand)."""
 MIN_RATE = 1e-3
 """Floor of the estimated rates, so that no score reaches 1."""
+BLACK = 0.02
+"""Colour up to which a channel counts as black: rasterisers clip colours at 0, so that training
+leaves what is black from all sides as it is, with harmonics of 0 and values that clones share."""
+START_OPACITY = 0.11
+"""Opacity at which training starts, with a margin for rounding to 8 bits."""
 UNIT_TOLERANCE = 1e-4
 """Deviation from length 1 of a normalised float32 quaternion, with a margin."""
 
@@ -108,6 +115,20 @@ def region_scores(
     return np.where(near, expit(own + logit(prior)), 0).astype(np.float32)
 
 
+def is_black(sh: Array) -> np.ndarray:
+    """Which base colours of harmonics (N, K, 3) are black, by channel, shape (N, 3) bool."""
+    return 0.5 + Y0 * np.asarray(sh)[:, 0] < BLACK
+
+
+def is_untrained(gaussians: Gaussians) -> np.ndarray:
+    """Gaussians that no view showed in training, shape (N,) bool.
+
+    They are as training starts (INRIA): spheres of opacity 0.1, which an opacity reset lowers.
+    """
+    spheres = np.ptp(np.asarray(gaussians.log_scales), axis=1) == 0
+    return spheres & (np.asarray(gaussians.opacities) < START_OPACITY)
+
+
 def sh_degree(gaussians: Gaussians, neighbours: np.ndarray) -> Trace:
     """Detect spherical harmonics that end at another degree than those of most Gaussians.
 
@@ -118,7 +139,8 @@ def sh_degree(gaussians: Gaussians, neighbours: np.ndarray) -> Trace:
     for degree in range(1, gaussians.sh_degree + 1):
         degrees[sh[:, degree**2 : (degree + 1) ** 2].any(axis=(1, 2))] = degree
     usual = int(np.argmax(np.bincount(degrees, minlength=1)))
-    score = region_scores(degrees != usual, neighbours)
+    odd = (degrees != usual) & ~is_black(sh).all(axis=1) & ~is_untrained(gaussians)
+    score = region_scores(odd, neighbours, max_outside=MAX_RARE_RATE)
     found = f"have harmonics that do not end at degree {usual} as those of the others do"
     absent = "The harmonics end at the same degree everywhere."
     absent = absent if gaussians.sh_degree else "The file holds no view-dependent colour."
@@ -131,11 +153,15 @@ def quaternion_convention(gaussians: Gaussians, neighbours: np.ndarray) -> Trace
     norms = np.linalg.norm(quats, axis=1)
     unit = np.abs(norms - 1) < UNIT_TOLERANCE
     # Training starts with no rotation, and leaves it at that where no view shows the Gaussian.
-    odd = (unit ^ (unit.sum() > 0.5 * len(unit))) & quats[:, 1:].any(axis=1)
-    lengths = region_scores(odd, neighbours, max_outside=MAX_QUATERNION_RATE)
-    # Half of the quaternions of a part without the sign convention satisfy it by chance.
+    untouched = is_untrained(gaussians) | ~quats[:, 1:].any(axis=1)
+    odd = (unit ^ (unit.sum() > 0.5 * len(unit))) & ~untouched
+    lengths = region_scores(odd, neighbours, max_outside=MAX_RARE_RATE)
+    # Half of the quaternions of a part without the sign convention satisfy it by chance. Formats
+    # that leave out the largest component make that positive instead.
+    largest = np.take_along_axis(quats, np.abs(quats).argmax(axis=1)[:, None], axis=1)
+    share = 0.3 if (largest < 0).sum() > MIN_RATE * len(quats) else 0.6
     negative = quats[:, 0] < 0
-    signs = region_scores(negative, neighbours, min_share=0.3, max_outside=MAX_QUATERNION_RATE)
+    signs = region_scores(negative, neighbours, min_share=share, max_outside=MAX_RARE_RATE)
     inside, size = signs > 0.5, np.abs(quats[:, 0]) / np.where(norms > 0, norms, 1)
     below, above = size[inside & negative], size[inside & ~negative]
     if len(below) and len(above) and np.median(below) < MIN_MAGNITUDE_RATIO * np.median(above):

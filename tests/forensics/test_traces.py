@@ -24,6 +24,7 @@ from strategies import random_scene, with_row
 
 from gsc_jax.benchmark.scenes import make_room
 from gsc_jax.forensics.evidence import forensic_evidence
+from gsc_jax.forensics.quantisation import quantisation
 from gsc_jax.forensics.traces import any_trace, quaternion_convention, sh_degree
 from gsc_jax.io.ply import load_ply
 
@@ -140,3 +141,39 @@ def test_permuting_rows_permutes_scores(seed):
         score = detected(detect, edited).score[order]
         permuted = detected(detect, edited.take(order)).score
         assert np.mean(np.abs(permuted - score) < 1e-4) > 0.99
+
+
+def test_what_training_left_black_is_no_part_of_another_degree():
+    """Colours are clipped at 0, so that black Gaussians keep the harmonics they had."""
+    black = np.array(room().sh)
+    black[PART, 0] = -1.8
+    black[PART, 1:] = 0
+    assert detected(sh_degree, changed(room(), PART, sh=0)).found
+    assert not detected(sh_degree, dataclasses.replace(room(), sh=black)).found
+
+
+@pytest.mark.parametrize("opacity", [0.1, 0.01])
+def test_what_no_view_showed_in_training_is_no_edit(opacity):
+    """Spheres of opacity 0.1, in colours of 8 bits, and without harmonics."""
+    start = np.full((len(PART), 3), -3.0, np.float32)
+    sh = np.zeros((len(PART), *room().sh.shape[1:]), np.float32)
+    sh[:, 0] = np.random.default_rng(0).integers(0, 256, (len(PART), 3)) / 255
+    logit = np.float32(np.log(opacity / (1 - opacity)))
+    same = {"log_scales": start, "sh": sh, "quats": np.array([1, 0, 0, 0], np.float32)}
+    untrained = changed(room(), PART, **same, logit_opacities=logit)
+    visible = changed(room(), PART, **same, logit_opacities=2.0)
+    for trace in (quantisation, sh_degree, quaternion_convention):
+        assert not detected(trace, untrained).found
+    assert detected(sh_degree, visible).found
+
+
+def test_a_turned_part_of_a_file_without_largest_components_is_no_trace():
+    """SOG, SPZ and compressed.ply make the largest component positive, and w of any sign."""
+    quats = np.array(room().rotations)
+    quats *= np.where(quats[:, :1] < 0, -1, 1) / np.linalg.norm(quats, axis=1, keepdims=True)
+    turned = np.random.default_rng(0).normal(size=(len(PART), 4)).astype(np.float32)
+    quats[PART] = turned / np.linalg.norm(turned, axis=1, keepdims=True)
+    assert detected(quaternion_convention, dataclasses.replace(room(), quats=quats)).found
+    largest = np.take_along_axis(quats, np.abs(quats).argmax(axis=1)[:, None], axis=1)
+    stored = dataclasses.replace(room(), quats=(quats * np.sign(largest)).astype(np.float32))
+    assert not detected(quaternion_convention, stored).found

@@ -6,7 +6,8 @@
 
 Hosts vary in capture, edits in program and donor, and every case has one exporter or harmless
 history. The objects that are pasted were pasted into other hosts in training, too. Traces are left
-out: an export may remove them. The level of labelling was chosen on these cases by their F1.
+out of the scores, since an export may remove them, and have a table of their own. The level of
+labelling was chosen on these cases by their F1.
 """
 
 import dataclasses
@@ -24,8 +25,10 @@ from tqdm import tqdm
 
 from gsc_jax.benchmark.metrics import auc, confusion
 from gsc_jax.benchmark.tamper import EDITS
+from gsc_jax.cli.report.wording import TRACES
 from gsc_jax.forensics.evidence import (
     ForensicEvidence,
+    combine,
     estimate_from_attributes,
     forensic_evidence,
 )
@@ -54,8 +57,11 @@ def rows_of(host: str, kind: Kind, seed: int, args: HeldoutArgs) -> Iterator[Row
     if case is None:
         return
     classifier = classifier_without(source_of(host), args.keep)
-    evidence = forensic_evidence(case.gaussians, classifier=classifier, with_traces=False)
-    yield measure(case, evidence, host, seed)
+    evidence = forensic_evidence(case.gaussians, classifier=classifier)
+    marked = {trace.name: trace.score > 0.5 for trace in evidence.traces if trace.found}
+    shares = {name: case.labels[rows].mean() for name, rows in marked.items()}
+    row = measure(case, combine(evidence.classification, ()), host, seed)
+    yield row | {trace.name: shares.get(trace.name, np.nan) for trace in evidence.traces}
 
 
 def measure(case: BankCase, evidence: ForensicEvidence, host: str, seed: int) -> Row:
@@ -77,7 +83,20 @@ def report(rows: Frame) -> str:
         for column in ("regime", "family", "export", "host"):
             tables.append(f"**{name} per Gaussian by {column}**, hosts that nothing was trained on")
             tables.append(pivot(edited, column, "edit", metric=metric, best=None))
-    return "\n\n".join([*tables, *scene_probabilities(edited, where(rows, edit=NO_EDIT))])
+    authentic = where(rows, edit=NO_EDIT)
+    tables += ["**Cases with a trace**", traces(edited, authentic)]
+    return "\n\n".join([*tables, *scene_probabilities(edited, authentic)])
+
+
+def traces(edited: Frame, authentic: Frame) -> str:
+    """Tabulate in how many cases each trace was found, and how often it marks the edit."""
+    head = ["trace", "authentic", "edited", "half of the marked Gaussians or more are edited"]
+    lines = []
+    for name in TRACES:
+        found, false = edited[name].dropna(), int(authentic[name].notna().sum())
+        counts = f"{false} of {len(authentic)}", f"{len(found)} of {len(edited)}"
+        lines.append([name, *counts, int((found >= 0.5).sum())])
+    return markdown(head, lines)
 
 
 def cases_by_family(edited: Frame) -> str:

@@ -95,8 +95,7 @@ def _best_place(
     points = means[(np.asarray(gaussians.opacities) > 0.5) & seen.any(axis=0)]
     candidates = []
     for row, scale, visible in zip(places, scales, seen[:, places].mean(axis=0), strict=True):
-        radius, height = size[0] * scale, size[1] * scale
-        cost, ground = placement_cost(points, means[row], visibility.up, radius, height)
+        cost, ground = placement_cost(points, means[row], visibility.up, *scale * np.array(size))
         candidates.append((cost + 0.5 * (1 - visible), ground, scale))
     return min(candidates, key=lambda candidate: candidate[0])
 

@@ -94,14 +94,14 @@ class SafireDetector(NetworkDetector):
         (embeddings,) = self._encoder.run(to_tensor(square, SAM), view=view)
         points = point_grid(self.grid, side=self._side)
         labels = np.ones((self._batch, 1), np.float32)
-        masks, confidences = [], []
+        runs = []
         for start in range(0, len(points), self._batch):
             # Repeats of the last point fill the last batch, since the batch size may be fixed.
             rows = np.arange(start, start + self._batch).clip(max=len(points) - 1)
-            found = self._decoder.run(embeddings, points[rows, None], labels, view=view)
-            masks.append(found[0][:, 0])
-            confidences.append(found[1][:, 0])
-        logits, sure = (np.concatenate(parts)[: len(points)] for parts in (masks, confidences))
+            runs.append(self._decoder.run(embeddings, points[rows, None], labels, view=view))
+        logits, sure = (
+            np.concatenate(parts)[: len(points), 0] for parts in zip(*runs, strict=True)
+        )
         return forged_region(logits, sure, embeddings[0], side=self._side, seed=self.seed)
 
     @functools.cached_property

@@ -64,12 +64,9 @@ def warp_gaussians(gaussians: Gaussians, warp: Callable[[jax.Array], jax.Array])
     quats = Rotation.from_matrix(axes).as_quat(scalar_first=True)
     before = np.asarray(gaussians.quats, np.float64)
     quats *= np.sign(np.sum(quats * before, axis=1, keepdims=True) + 1e-30)
-    return dataclasses.replace(
-        gaussians,
-        means=np.asarray(moved),
-        log_scales=np.log(np.maximum(scales, 1e-30)).astype(np.float32),
-        quats=(quats * np.linalg.norm(before, axis=1, keepdims=True)).astype(np.float32),
-    )
+    quats = (quats * np.linalg.norm(before, axis=1, keepdims=True)).astype(np.float32)
+    sizes = np.log(np.maximum(scales, 1e-30)).astype(np.float32)
+    return dataclasses.replace(gaussians, means=np.asarray(moved), log_scales=sizes, quats=quats)
 
 
 def _match_axes(

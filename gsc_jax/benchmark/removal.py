@@ -131,12 +131,9 @@ def fill_hole(gaussians: Gaussians, hole: Hole, rng: np.random.Generator) -> Gau
     noise = np.float32(NOISE) * rng.standard_normal((2, len(copies), 3), np.float32)
     sh = np.array(copies.sh)
     sh[:, 0] += noise[0]
-    return dataclasses.replace(
-        copies,
-        means=(hole.region.center + hole.region.radius * points @ hole.frame).astype(np.float32),
-        log_scales=np.asarray(copies.log_scales) + noise[1],
-        sh=sh,
-    )
+    log_scales = np.asarray(copies.log_scales) + noise[1]
+    means = (hole.region.center + hole.region.radius * points @ hole.frame).astype(np.float32)
+    return dataclasses.replace(copies, means=means, log_scales=log_scales, sh=sh)
 
 
 def _polar(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

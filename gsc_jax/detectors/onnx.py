@@ -52,13 +52,9 @@ class OnnxDetector(NetworkDetector):
         self.path = Path(path)
         super().__init__(self.path)
         self.spec = preset(spec) if isinstance(spec, str) else spec
-        self._network = Network(
-            self.path,
-            [TensorSpec("RGB image", self._expected_input())],
-            {self.spec.output: TensorSpec("map", None, types=None)},
-            providers=providers,
-            threads=threads,
-        )
+        inputs = [TensorSpec("RGB image", self._expected_input())]
+        outputs = {self.spec.output: TensorSpec("map", None, types=None)}
+        self._network = Network(self.path, inputs, outputs, providers=providers, threads=threads)
         self._size = self._input_size()
         (self._output,) = self._network.outputs
         if self._output.shape:

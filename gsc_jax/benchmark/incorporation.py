@@ -36,13 +36,10 @@ def transformed(
     w, x, y, z = Rotation.from_matrix(R).as_quat(scalar_first=True)
     left = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
     means = scale * np.asarray(gaussians.means, np.float64) @ R.T + np.asarray(translation)
-    return dataclasses.replace(
-        gaussians,
-        means=means.astype(np.float32),
-        log_scales=(np.asarray(gaussians.log_scales) + np.log(scale)).astype(np.float32),
-        quats=(np.asarray(gaussians.quats, np.float64) @ left.T).astype(np.float32),
-        sh=np.asarray(rotate(gaussians.sh, R)),
-    )
+    log_scales = (np.asarray(gaussians.log_scales) + np.log(scale)).astype(np.float32)
+    quats = (np.asarray(gaussians.quats, np.float64) @ left.T).astype(np.float32)
+    moved = {"means": means.astype(np.float32), "log_scales": log_scales, "quats": quats}
+    return dataclasses.replace(gaussians, **moved, sh=np.asarray(rotate(gaussians.sh, R)))
 
 
 def paste_object(
@@ -95,8 +92,7 @@ def _best_place(
     points = means[(np.asarray(gaussians.opacities) > 0.5) & seen.any(axis=0)]
     candidates = []
     for row, scale, visible in zip(places, scales, seen[:, places].mean(axis=0), strict=True):
-        radius, height = size[0] * scale, size[1] * scale
-        cost, ground = placement_cost(points, means[row], visibility.up, radius, height)
+        cost, ground = placement_cost(points, means[row], visibility.up, *scale * np.array(size))
         candidates.append((cost + 0.5 * (1 - visible), ground, scale))
     return min(candidates, key=lambda candidate: candidate[0])
 

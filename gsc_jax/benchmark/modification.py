@@ -56,23 +56,17 @@ def modify_region(
 
 def warp_gaussians(gaussians: Gaussians, warp: Callable[[jax.Array], jax.Array]) -> Gaussians:
     """Move Gaussians by a map of points (3,), and reshape them by its Jacobian."""
-    means = jnp.asarray(gaussians.means)
     # One compilation instead of one per operation, since each region has another size.
-    moved, jacobians = jax.jit(jax.vmap(lambda x: (warp(x), jax.jacfwd(warp)(x))))(means)
+    moved, jacobians = jax.jit(jax.vmap(lambda x: (warp(x), jax.jacfwd(warp)(x))))(gaussians.means)
     rotations = Rotation.from_quat(np.asarray(gaussians.rotations), scalar_first=True).as_matrix()
-    axes, scales, _ = np.linalg.svd(
-        np.asarray(jacobians, np.float64) @ rotations * np.asarray(gaussians.scales)[:, None]
-    )
-    axes, scales = _match_axes(rotations, axes, scales)
+    shapes = np.asarray(jacobians, np.float64) @ rotations * np.asarray(gaussians.scales)[:, None]
+    axes, scales = _match_axes(rotations, *np.linalg.svd(shapes)[:2])
     quats = Rotation.from_matrix(axes).as_quat(scalar_first=True)
     before = np.asarray(gaussians.quats, np.float64)
     quats *= np.sign(np.sum(quats * before, axis=1, keepdims=True) + 1e-30)
-    return dataclasses.replace(
-        gaussians,
-        means=np.asarray(moved),
-        log_scales=np.log(np.maximum(scales, 1e-30)).astype(np.float32),
-        quats=(quats * np.linalg.norm(before, axis=1, keepdims=True)).astype(np.float32),
-    )
+    quats = (quats * np.linalg.norm(before, axis=1, keepdims=True)).astype(np.float32)
+    sizes = np.log(np.maximum(scales, 1e-30)).astype(np.float32)
+    return dataclasses.replace(gaussians, means=np.asarray(moved), log_scales=sizes, quats=quats)
 
 
 def _match_axes(
@@ -141,8 +135,7 @@ def twist(x: jax.Array, region: regions.Region, angle: float) -> jax.Array:
     """Rotate a point of a region about the direction to the cameras, most at its centre."""
     center, axis, along, across, decay = _split(x, region)
     turn = jnp.float32(angle) * decay
-    turned = jnp.cos(turn) * across + jnp.sin(turn) * jnp.cross(axis, across)
-    return center + along + turned
+    return center + along + (jnp.cos(turn) * across + jnp.sin(turn) * jnp.cross(axis, across))
 
 
 def bulge(x: jax.Array, region: regions.Region, height: float) -> jax.Array:

@@ -182,13 +182,10 @@ def grow_region(
     count = _rows_to_cover(visibility.pixel_share[:, near], size)
     rows = near[:count]
     center = np.median(means[rows], axis=0)
-    return Region(
-        rows=rows,
-        ring=near[count:][distance[count:] <= RING_REACH * distance[count - 1]],
-        center=center,
-        radius=float(np.quantile(np.linalg.norm(means[rows] - center, axis=1), 0.9)),
-        towards=_towards_cameras(visibility, rows, center),
-    )
+    ring = near[count:][distance[count:] <= RING_REACH * distance[count - 1]]
+    extent = float(np.quantile(np.linalg.norm(means[rows] - center, axis=1), 0.9))
+    towards = _towards_cameras(visibility, rows, center)
+    return Region(rows=rows, ring=ring, center=center, radius=extent, towards=towards)
 
 
 def _blending_weights(gaussians: Gaussians, camera: Camera, near: float) -> np.ndarray:

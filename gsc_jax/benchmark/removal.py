@@ -72,8 +72,7 @@ class Hole:
         near = radii < MAX_SOURCE_DISTANCE * _edge_radius(self.rows, angles)
         if not near.any():
             return np.inf
-        empty = np.mean(self.sector_counts[0] == 0)
-        return float(around[near].mean() + within.mean() / 2 + empty)
+        return float(around[near].mean() + within.mean() / 2 + np.mean(self.sector_counts[0] == 0))
 
 
 def remove_region(
@@ -91,10 +90,8 @@ def remove_region(
         raise regions.EditRejected("nothing surrounds the region")
     fill = fill_hole(gaussians, hole, rng)
     rest = np.delete(np.arange(len(gaussians)), hole.region.rows)
-    description = (
-        f"{len(hole.rows):,} Gaussians of a region taken away and the hole filled with "
-        f"{len(fill):,} copies of its surroundings"
-    )
+    filled = f"the hole filled with {len(fill):,} copies of its surroundings"
+    description = f"{len(hole.rows):,} Gaussians of a region taken away and {filled}"
     scene = concatenate([gaussians.take(rest), fill])
     return regions.ProposedEdit(scene, np.arange(len(scene)) >= len(rest), description, gaussians)
 
@@ -129,18 +126,14 @@ def fill_hole(gaussians: Gaussians, hole: Hole, rng: np.random.Generator) -> Gau
     mirrored += 0.02 * rng.standard_normal(mirrored.shape)
     source = np.flatnonzero(hole.in_surface)
     source = source[KDTree(hole.ring[source, :2]).query(mirrored)[1]]
-    heights = hole.ring[source, 2] + _quadratic_terms(flat) @ hole.surface
-    points = np.column_stack([flat, heights])
+    points = np.column_stack([flat, hole.ring[source, 2] + _quadratic_terms(flat) @ hole.surface])
     copies = gaussians.take(hole.region.ring[source])
     noise = np.float32(NOISE) * rng.standard_normal((2, len(copies), 3), np.float32)
     sh = np.array(copies.sh)
     sh[:, 0] += noise[0]
-    return dataclasses.replace(
-        copies,
-        means=(hole.region.center + hole.region.radius * points @ hole.frame).astype(np.float32),
-        log_scales=np.asarray(copies.log_scales) + noise[1],
-        sh=sh,
-    )
+    log_scales = np.asarray(copies.log_scales) + noise[1]
+    means = (hole.region.center + hole.region.radius * points @ hole.frame).astype(np.float32)
+    return dataclasses.replace(copies, means=means, log_scales=log_scales, sh=sh)
 
 
 def _polar(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

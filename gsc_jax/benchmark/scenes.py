@@ -90,14 +90,10 @@ def tampered_room(
     pasted = make_object(seed=seed, count=foreign)
     pasted = dataclasses.replace(pasted, means=pasted.means + OBJECT_FOOT.astype(np.float32))
     order = np.random.default_rng([seed, 3]).permutation(count)
-    return MadeScene(
-        gaussians=concatenate([room, pasted]).take(order),
-        cameras=room_cameras(views, width=width, height=height, seed=seed),
-        heldout_cameras=room_cameras(
-            heldout, width=width, height=height, seed=seed + 1, prefix="heldout"
-        ),
-        labels=order >= len(room),
-    )
+    gaussians, labels = concatenate([room, pasted]).take(order), order >= len(room)
+    cameras = room_cameras(views, width=width, height=height, seed=seed)
+    others = room_cameras(heldout, width=width, height=height, seed=seed + 1, prefix="heldout")
+    return MadeScene(gaussians=gaussians, cameras=cameras, heldout_cameras=others, labels=labels)
 
 
 def _floaters(surfaces: Gaussians, count: int, rng: np.random.Generator) -> Gaussians:
@@ -105,9 +101,6 @@ def _floaters(surfaces: Gaussians, count: int, rng: np.random.Generator) -> Gaus
     near = surfaces.take(rng.integers(len(surfaces), size=count))
     shift = rng.normal(0, 0.2, (count, 3)) * rng.random((count, 1))
     size = np.log(rng.lognormal(np.log(0.04), 0.5, (count, 1))) + rng.normal(0, 0.4, (count, 3))
-    return dataclasses.replace(
-        near,
-        means=(near.means + shift).astype(np.float32),
-        log_scales=size.astype(np.float32),
-        logit_opacities=rng.normal(-2.5, 1.0, count).astype(np.float32),
-    )
+    logits = rng.normal(-2.5, 1.0, count)
+    columns = {"means": near.means + shift, "log_scales": size, "logit_opacities": logits}
+    return dataclasses.replace(near, **{k: c.astype(np.float32) for k, c in columns.items()})

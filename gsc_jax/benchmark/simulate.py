@@ -42,8 +42,7 @@ class Failures:
     softness: float = 1.5
 
     def __post_init__(self) -> None:
-        names = [field.name for field in dataclasses.fields(self)]
-        check_ranges(self, dict.fromkeys(names, (0.0, np.inf)) | dict.fromkeys(SHARES, (0.0, 1.0)))
+        check_ranges(self, {key: (0.0, 1.0 if key in SHARES else np.inf) for key in vars(self)})
 
 
 REGIMES: Mapping[str, Failures] = {
@@ -79,8 +78,7 @@ def simulate(
         flagged_views = _random_share(np.array(decoy.any(axis=(1, 2))), failures.decoy, rng)
         regions |= decoy & flagged_views[:, None, None]
     inverted = _random_share(np.ones(len(truth), bool), failures.inverted, rng)
-    views = [_probabilities(region, failures, rng) for region in regions]
-    flagged = np.reshape(views, truth.shape)
+    flagged = np.reshape([_probabilities(region, failures, rng) for region in regions], truth.shape)
     return np.where(inverted[:, None, None], 1 - flagged, flagged).astype(np.float32)
 
 
@@ -106,8 +104,7 @@ def decoy_labels(gaussians: Gaussians, labels: np.ndarray, *, seed: int) -> np.n
     authentic = np.flatnonzero(~labels)
     tree = KDTree(means[authentic])
     counts = tree.query_ball_point(places, radius, return_length=True)
-    size = min(int(labels.sum()), int(counts.max()))
-    _, nearest = tree.query(places[np.argmax(counts)], k=size)
+    _, nearest = tree.query(places[np.argmax(counts)], k=min(int(labels.sum()), int(counts.max())))
     return np.isin(np.arange(len(labels)), authentic[nearest])
 
 

@@ -221,11 +221,8 @@ def _surfels(
     sh = np.concatenate([(colors[:, None] - 0.5) / Y0, np.repeat(sheen[..., None], 3, -1)], axis=1)
     sh[:, 1:] += rng.normal(0, 0.03, (count, 3, 3))
     jitter = (frames[..., :2] @ rng.normal(size=(count, 2, 1)))[..., 0]
-    gaussians = Gaussians(
-        means=points + 0.12 * spacing[:, None] * jitter,
-        log_scales=size + rng.normal(0, statistics.spread, (count, 3)),
-        quats=length * Rotation.from_matrix(frames).as_quat(scalar_first=True),
-        logit_opacities=logits,
-        sh=sh,
-    )
+    means = points + 0.12 * spacing[:, None] * jitter
+    size = size + rng.normal(0, statistics.spread, (count, 3))
+    quats = length * Rotation.from_matrix(frames).as_quat(scalar_first=True)
+    gaussians = Gaussians(means=means, log_scales=size, quats=quats, logit_opacities=logits, sh=sh)
     return jax.tree.map(lambda leaf: leaf.astype(np.float32), gaussians)

@@ -143,12 +143,7 @@ def _shuffled(
 ) -> Tampered:
     order = rng.permutation(len(proposed.labels))
     views = f"{np.count_nonzero(visible >= VISIBLE_SHARE)} of {len(visible)} views that see it"
-    share = regions.median_visible_share(visible)
-    covers = f"{share:.1%} of the pixels in the median of the {views}"
-    return Tampered(
-        gaussians=proposed.gaussians.take(order),
-        labels=proposed.labels[order],
-        edit=edit,
-        description=f"{edit.capitalize()}: {proposed.description}; it covers {covers}.",
-        visible=visible,
-    )
+    size = f"{regions.median_visible_share(visible):.1%} of the pixels in the median of the {views}"
+    text = f"{edit.capitalize()}: {proposed.description}; it covers {size}."
+    scene, labels = proposed.gaussians.take(order), proposed.labels[order]
+    return Tampered(gaussians=scene, labels=labels, edit=edit, description=text, visible=visible)

@@ -177,8 +177,7 @@ class NetworkDetector(ABC):
         for anomaly, text in self.anomalies.items():
             counts = {view: own[anomaly] for view, own in self.diagnostics.items() if own[anomaly]}
             if counts:
-                found.append(
-                    f"{self.model}: {text.format(count=sum(counts.values()))} in {len(counts)} of "
-                    f"{len(self.diagnostics)} views (first in {next(iter(counts))!r})"
-                )
+                views = f"{len(self.diagnostics)} views (first in {next(iter(counts))!r})"
+                total = text.format(count=sum(counts.values()))
+                found.append(f"{self.model}: {total} in {len(counts)} of {views}")
         return tuple(found)

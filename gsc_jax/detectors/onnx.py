@@ -52,13 +52,9 @@ class OnnxDetector(NetworkDetector):
         self.path = Path(path)
         super().__init__(self.path)
         self.spec = preset(spec) if isinstance(spec, str) else spec
-        self._network = Network(
-            self.path,
-            [TensorSpec("RGB image", self._expected_input())],
-            {self.spec.output: TensorSpec("map", None, types=None)},
-            providers=providers,
-            threads=threads,
-        )
+        inputs = [TensorSpec("RGB image", self._expected_input())]
+        outputs = {self.spec.output: TensorSpec("map", None, types=None)}
+        self._network = Network(self.path, inputs, outputs, providers=providers, threads=threads)
         self._size = self._input_size()
         (self._output,) = self._network.outputs
         if self._output.shape:
@@ -107,10 +103,8 @@ class OnnxDetector(NetworkDetector):
                 f"{self.path}: input {name!r} has shape {shape_text(shape)}, the spec expects "
                 f"{shape_text(self._expected_input())}; change layout in the spec"
             )
-        return [
-            side if isinstance(side, int) else wanted
-            for side, wanted in zip(sides, self._expected_input()[start:], strict=False)
-        ]
+        pairs = zip(sides, self._expected_input()[start:], strict=False)
+        return [side if isinstance(side, int) else wanted for side, wanted in pairs]
 
     def _check_map(self, shape: Shape) -> None:
         """Require a shape, with possibly free sides, of one map with the channel of the spec."""
@@ -149,10 +143,9 @@ class OnnxDetector(NetworkDetector):
     def _channels(self, output: np.ndarray, target: Size) -> np.ndarray:
         """Output as maps that cover the input, shape (channels, h, w)."""
         self._check_map(output.shape)
+        channels = output[None] if output.ndim == 2 else output
         if output.ndim == 4:
             channels = np.moveaxis(output, self.spec.layout.index("C"), 1)[0]
-        else:
-            channels = output if output.ndim == 3 else output[None]
         height, width = channels.shape[1:]
         # With fewer axes it can be tokens or scores; the aspect ratio distinguishes a map.
         distorted = abs(height * target[1] - width * target[0]) > max(target)

@@ -28,8 +28,7 @@ def to_tensor(image: np.ndarray, spec: OnnxSpec) -> np.ndarray:
     """Normalise RGB in [0, 1], (H, W, 3), to an input (1, 3, H, W) or (1, H, W, 3) float32."""
     colours = np.float32(spec.scale) * (image[..., ::-1] if spec.channels == "bgr" else image)
     tensor = (colours - np.array(spec.mean, np.float32)) / np.array(spec.std, np.float32)
-    if spec.layout == "NCHW":
-        tensor = tensor.transpose(2, 0, 1)
+    tensor = tensor.transpose(2, 0, 1) if spec.layout == "NCHW" else tensor
     return np.ascontiguousarray(tensor)[None]
 
 

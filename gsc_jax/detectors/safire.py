@@ -15,14 +15,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from gsc_jax.detectors.network import (
-    NUMBERS,
-    Network,
-    NetworkDetector,
-    TensorSpec,
-    fits,
-    shape_text,
-)
+from gsc_jax.detectors import network
 from gsc_jax.detectors.preprocessing import fit_image, to_tensor
 from gsc_jax.detectors.safire_regions import forged_region, point_grid
 from gsc_jax.detectors.session import CPU, fingerprint
@@ -38,15 +31,15 @@ PROMPTS_PER_BATCH = 4
 SAM = OnnxSpec(scale=255.0, mean=(123.675, 116.28, 103.53), std=(58.395, 57.12, 57.375))
 """Channel statistics of SAM, for levels 0 to 255."""
 
-IMAGE = TensorSpec("image", (1, 3, "S", "S"))
-EMBEDDINGS = TensorSpec("embeddings", (1, "C", "H", "W"))
-POINT_COORDS = TensorSpec("point_coords", ("P", 1, 2))  # x and y in pixels of the image
-POINT_LABELS = TensorSpec("point_labels", ("P", 1), NUMBERS)  # 1: foreground
-MASKS = TensorSpec("masks (one per point)", ("P", 1, None, None))  # logits
-CONFIDENCES = TensorSpec("confidences (one per point)", ("P", 1))
+IMAGE = network.TensorSpec("image", (1, 3, "S", "S"))
+EMBEDDINGS = network.TensorSpec("embeddings", (1, "C", "H", "W"))
+POINT_COORDS = network.TensorSpec("point_coords", ("P", 1, 2))  # x and y in pixels of the image
+POINT_LABELS = network.TensorSpec("point_labels", ("P", 1), network.NUMBERS)  # 1: foreground
+MASKS = network.TensorSpec("masks (one per point)", ("P", 1, None, None))  # logits
+CONFIDENCES = network.TensorSpec("confidences (one per point)", ("P", 1))
 
 
-class SafireDetector(NetworkDetector):
+class SafireDetector(network.NetworkDetector):
     """A 2D detector that runs SAFIRE on the rendered views."""
 
     anomalies: ClassVar = {
@@ -76,14 +69,14 @@ class SafireDetector(NetworkDetector):
         super().__init__(self.decoder)
         self.grid, self.seed = grid, seed
         run = {"providers": providers, "threads": threads}
-        self._encoder = Network(self.encoder, [IMAGE], {0: EMBEDDINGS}, **run)
+        self._encoder = network.Network(self.encoder, [IMAGE], {0: EMBEDDINGS}, **run)
         inputs = [EMBEDDINGS, POINT_COORDS, POINT_LABELS]
-        self._decoder = Network(self.decoder, inputs, {0: MASKS, 1: CONFIDENCES}, **run)
+        self._decoder = network.Network(self.decoder, inputs, {0: MASKS, 1: CONFIDENCES}, **run)
         given, taken = self._encoder.outputs[0].shape, self._decoder.inputs[0].shape
-        if given and not fits(taken, given, {}):
+        if given and not network.fits(taken, given, {}):
             raise InputError(
-                f"{self.decoder}: takes embeddings of shape {shape_text(taken)}, the encoder gives "
-                f"{shape_text(given)}; export both from one network"
+                f"{self.decoder}: takes embeddings of shape {network.shape_text(taken)}, "
+                f"the encoder gives {network.shape_text(given)}; export both from one network"
             )
         self._side = self._encoder.sides.get("S", SIDE_PIXELS)
         self._batch = self._decoder.sides.get("P") or PROMPTS_PER_BATCH
@@ -94,15 +87,13 @@ class SafireDetector(NetworkDetector):
         (embeddings,) = self._encoder.run(to_tensor(square, SAM), view=view)
         points = point_grid(self.grid, side=self._side)
         labels = np.ones((self._batch, 1), np.float32)
-        masks, confidences = [], []
+        runs = []
         for start in range(0, len(points), self._batch):
             # Repeats of the last point fill the last batch, since the batch size may be fixed.
             rows = np.arange(start, start + self._batch).clip(max=len(points) - 1)
-            found = self._decoder.run(embeddings, points[rows, None], labels, view=view)
-            masks.append(found[0][:, 0])
-            confidences.append(found[1][:, 0])
-        logits, sure = (np.concatenate(parts)[: len(points)] for parts in (masks, confidences))
-        return forged_region(logits, sure, embeddings[0], side=self._side, seed=self.seed)
+            runs.append(self._decoder.run(embeddings, points[rows, None], labels, view=view))
+        masks, sure = (np.concatenate(parts)[: len(points), 0] for parts in zip(*runs, strict=True))
+        return forged_region(masks, sure, embeddings[0], side=self._side, seed=self.seed)
 
     @functools.cached_property
     def fingerprint(self) -> str:

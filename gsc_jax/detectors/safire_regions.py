@@ -29,8 +29,7 @@ SATURATED_LOGIT = 80.0
 def point_grid(count: int, *, side: int) -> np.ndarray:
     """Centres (x, y) of count x count cells of a square image in pixels, (count^2, 2) float32."""
     centres = (np.arange(count, dtype=np.float32) + np.float32(0.5)) * np.float32(side / count)
-    x, y = np.meshgrid(centres, centres)
-    return np.stack([x.ravel(), y.ravel()], axis=-1)
+    return np.stack(np.meshgrid(centres, centres), axis=-1).reshape(-1, 2)
 
 
 def forged_region(

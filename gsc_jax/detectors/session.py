@@ -61,10 +61,9 @@ def provider_names(providers: Sequence[str]) -> list[str]:
 
     If the installed onnxruntime lacks one, raises InputError, which lists the available ones.
     """
-    import onnxruntime
+    import onnxruntime as ort
 
-    names = onnxruntime.get_available_providers()
-    available = {name.removesuffix(SUFFIX).lower(): name for name in names}
+    available = {name.removesuffix(SUFFIX).lower(): name for name in ort.get_available_providers()}
     short = [name.lower().removesuffix(SUFFIX.lower()) for name in providers]
     for name, key in zip(providers, short, strict=True):
         if key not in available:

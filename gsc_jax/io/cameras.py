@@ -57,8 +57,7 @@ def save_cameras(path: str | Path, cameras: Sequence[Camera]) -> None:
         items = [inria_item(camera, index) for index, camera in enumerate(cameras)]
         _checked(read_inria(items, Path(path)), path)
     except ValueError as error:
-        problem = str(error).removeprefix(f"{path}: ")
-        raise InputError(f"{path}: not written: {problem}") from error
+        raise InputError(f"{path}: not written: {str(error).removeprefix(f'{path}: ')}") from error
     with atomic(path) as temporary:
         temporary.write_text(json.dumps(items), encoding="utf-8")
 

@@ -123,13 +123,9 @@ def read_inria(items: list[Any], path: Path) -> list[Camera]:
 
 def _camera(item: Any) -> Camera:
     fields = _Item.model_validate(item)
-    return pinhole(
-        fields.img_name,
-        np.column_stack([fields.rotation, fields.position]),
-        focal=(fields.fx, fields.fy),
-        center=(fields.cx, fields.cy),
-        size=(fields.width, fields.height),
-    )
+    pose, size = np.column_stack([fields.rotation, fields.position]), (fields.width, fields.height)
+    focal, center = (fields.fx, fields.fy), (fields.cx, fields.cy)
+    return pinhole(fields.img_name, pose, focal=focal, center=center, size=size)
 
 
 def inria_item(camera: Camera, index: int) -> dict[str, Any]:

@@ -55,13 +55,9 @@ def decode(vertex: PlyElement, path: Path) -> Gaussians:
     bands = [_columns(vertex, DC)[:, None]]
     if rest:
         bands.append(_columns(vertex, rest).reshape(len(vertex), 3, -1).transpose(0, 2, 1))
-    return Gaussians(
-        means=_columns(vertex, POSITION),
-        log_scales=log_scales,
-        quats=_columns(vertex, ROTATION),
-        logit_opacities=_columns(vertex, ("opacity",)).ravel(),
-        sh=np.concatenate(bands, axis=1),
-    )
+    means, quats = _columns(vertex, POSITION), _columns(vertex, ROTATION)
+    logits, sh = _columns(vertex, ("opacity",)).ravel(), np.concatenate(bands, axis=1)
+    return Gaussians(means=means, log_scales=log_scales, quats=quats, logit_opacities=logits, sh=sh)
 
 
 def encode(gaussians: Gaussians) -> PlyData:

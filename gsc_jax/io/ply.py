@@ -223,8 +223,7 @@ def _scene(ply: PlyData, path: Path) -> PlyScene:
     if "vertex" not in ply or not len(ply["vertex"]):
         raise InputError(f"{path}: holds no Gaussians (no vertices); export the scene again")
     stored = decode(ply["vertex"], path)
-    keep = np.ones(len(stored), bool)
-    dropped = {}
+    keep, dropped = np.ones(len(stored), bool), {}
     for reason, invalid in invalid_rows(stored).items():
         if count := int(np.count_nonzero(keep & invalid)):
             dropped[reason] = count

@@ -48,8 +48,7 @@ def read_sog(path: Path, decode: Callable[[bytes], Gaussians], max_bytes: int | 
     if (path / INDEX).is_file():
         return _read_streamed(path, decode, max_bytes)
     data = _bundle(path, max_bytes) if path.is_dir() else path.read_bytes()
-    _check_bundle(data, path, max_bytes)
-    return decode(data)
+    return decode(_checked(data, path, max_bytes))
 
 
 def _read_streamed(
@@ -68,9 +67,7 @@ def _read_streamed(
     parts, needed = [], 0
     for place, rows in ranges.items():
         left = None if max_bytes is None else max_bytes - needed
-        data = _bundle(place, left)
-        _check_bundle(data, place, left)
-        chunk = decode(data)
+        chunk = decode(_checked(_bundle(place, left), place, left))
         needed += 2 * sum(leaf.nbytes for leaf in jax.tree.leaves(chunk))
         check_allocation(folder, needed, max_bytes)
         parts += _rows(chunk, rows, place)
@@ -110,8 +107,8 @@ def _bundle(folder: Path, max_bytes: int | None) -> bytes:
     return stream.getvalue()
 
 
-def _check_bundle(data: bytes, path: Path, max_bytes: int | None) -> None:
-    """Check the sizes of the entries and images of a SOG, and the tables that gsply indexes."""
+def _checked(data: bytes, path: Path, max_bytes: int | None) -> bytes:
+    """A SOG, if its entries and images have allowed sizes, and the tables those gsply indexes."""
     from PIL import Image
 
     needed = 0
@@ -136,3 +133,4 @@ def _check_bundle(data: bytes, path: Path, max_bytes: int | None) -> None:
                 raise ValueError(f"{attribute}.{table} has {found} entries, expected {length}")
     if not meta.get("count", 1) > 0:
         raise ValueError("no Gaussians")
+    return data

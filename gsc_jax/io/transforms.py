@@ -75,13 +75,9 @@ def _camera(item: Any, folder: Path) -> Camera:
     y = _focal(frame.fl_y, frame.camera_angle_y, size[1])
     if not (x or y):
         raise ValueError("lacks 'fl_x' and 'camera_angle_x'; export the cameras again")
-    return pinhole(
-        frame.file_path.removeprefix("./"),
-        np.array(frame.transform_matrix) * OPENGL_TO_OPENCV,
-        focal=(x or y, y or x),
-        center=(frame.cx, frame.cy),
-        size=size,
-    )
+    name = frame.file_path.removeprefix("./")
+    pose = np.array(frame.transform_matrix) * OPENGL_TO_OPENCV
+    return pinhole(name, pose, focal=(x or y, y or x), center=(frame.cx, frame.cy), size=size)
 
 
 def _image_size(folder: Path, name: str) -> tuple[int, int]:

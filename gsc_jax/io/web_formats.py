@@ -137,9 +137,7 @@ def _accessor(tree: dict[str, Any], binary: bytes, accessor: dict[str, Any]) -> 
         raise ValueError("more numbers than the file holds")
     numbers = np.ndarray((count, width), kind, binary, start, (stride, kind.itemsize))
     values = numbers.astype(np.float32)
-    if accessor.get("normalized"):
-        values = np.maximum(values / np.iinfo(kind).max, -1)
-    return values
+    return np.maximum(values / np.iinfo(kind).max, -1) if accessor.get("normalized") else values
 
 
 def _gaussians(

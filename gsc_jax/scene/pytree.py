@@ -22,8 +22,7 @@ def short_repr(self: Any) -> str:
             return f"{value.dtype}{list(value.shape)}"
         return " ".join(repr(value).split()) if hasattr(value, "shape") else reprlib.repr(value)
 
-    values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-    fields = ", ".join(f"{name}={shown(value)}" for name, value in values.items())
+    fields = ", ".join(f"{f.name}={shown(getattr(self, f.name))}" for f in dataclasses.fields(self))
     return f"{type(self).__name__}({fields})"
 
 

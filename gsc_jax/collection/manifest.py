@@ -30,8 +30,7 @@ def read_manifest(source: Path) -> list[Entry]:
     if source.is_dir():
         rows = _files(sorted(source.rglob("*")), source)
     elif not source.exists() and glob.has_magic(str(source)):
-        pattern = str(source.relative_to(source.anchor))
-        rows = _files(sorted(Path(source.anchor).glob(pattern)))
+        rows = _files(sorted(Path(source.anchor).glob(str(source.relative_to(source.anchor)))))
     elif suffix in MANIFESTS:
         rows = _rows(source)
     elif suffix in LISTS:

@@ -100,8 +100,7 @@ def view_mask(
         return _per_view_mask(gaussians, camera, scored, threshold=threshold, near=near)
     if rule == "share":
         return rendered_share(gaussians, camera, scored.labels, near=near) > 0.5
-    share = rendered_share(gaussians, camera, scored.tamper, near=near, above=threshold)
-    return share > threshold
+    return rendered_share(gaussians, camera, scored.tamper, near=near, above=threshold) > threshold
 
 
 def pictures(
@@ -147,8 +146,7 @@ def stored_masks(
     with ViewThreads(gaussians) as pool:
         for done, _ in enumerate(bounded_map(pool, put, cameras), start=1):
             monitor.progress("masks", done, len(cameras))
-    names = tuple(camera.name for camera in cameras)
-    return ByView(names, lambda name: np.array(store.get(MASK, name)))
+    return ByView(tuple(c.name for c in cameras), lambda name: np.array(store.get(MASK, name)))
 
 
 def rendered_share(

@@ -164,8 +164,7 @@ def splat_table(splats: Splats) -> jax.Array:
     opaque = splats.opacities > 0
     logs = jnp.where(opaque, jnp.log(jnp.where(opaque, splats.opacities, 1.0)), -jnp.inf)
     table = [splats.means, splats.whitening, logs[:, None]]
-    padded = jnp.pad(jnp.concatenate(table, axis=1), ((0, 1), (0, 0)))
-    return padded.at[-1, -1].set(-jnp.inf)
+    return jnp.pad(jnp.concatenate(table, axis=1), ((0, 1), (0, 0))).at[-1, -1].set(-jnp.inf)
 
 
 class TileLists(NamedTuple):
@@ -209,8 +208,7 @@ def bin_splats(
     ones, shape = np.ones(len(covered), np.int8), (len(order), rows * columns)
     by_tile = csr_array((ones, covered, ends), shape=shape).tocsc()  # the transpose
     starts, counts = by_tile.indptr[:-1], np.diff(by_tile.indptr) * kept
-    ids = order.take(by_tile.indices)
-    return TileLists(ids=ids, starts=starts, counts=counts, total=total)
+    return TileLists(ids=order.take(by_tile.indices), starts=starts, counts=counts, total=total)
 
 
 def _front_to_back(depths: np.ndarray, visible: np.ndarray) -> np.ndarray:

@@ -93,8 +93,7 @@ def direction(attributes: Array, groups: Partition, *, per_feature: bool = False
     # Adding term by term is fused by XLA; its sum over so short an axis is slow on a CPU.
     signs = [jnp.sign(term) for term in terms]
     u = sum(signs) / len(terms) if per_feature else jnp.sign(sum(terms))
-    comparable = jnp.any(groups.high) & jnp.any(groups.low)
-    return jnp.where(groups.middle & comparable, u, 0.0)
+    return jnp.where(groups.middle & (jnp.any(groups.high) & jnp.any(groups.low)), u, 0.0)
 
 
 def loss_3d(

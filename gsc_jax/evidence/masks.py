@@ -138,8 +138,7 @@ def stored_masks(
 
     def put(camera: Camera) -> None:
         with monitor.stage("masks"):
-            found = compute(camera)
-            arrays = found if isinstance(found, tuple) else (found,)
+            arrays = jax.tree.leaves(compute(camera))
             for kind, array in zip((MASK, RENDER, SCORE), arrays, strict=False):
                 store.put(kind, camera.name, array)
 

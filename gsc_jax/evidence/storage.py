@@ -51,8 +51,7 @@ class ArrayStore:
 
     def get(self, kind: str, name: str) -> np.ndarray:
         """An array, memory-mapped if it lies in a file; raises OSError if it is missing."""
-        key = _key(kind, name)
-        if key in self._in_memory:
+        if (key := _key(kind, name)) in self._in_memory:
             return self._in_memory[key]
         assert self._folder is not None, f"nothing was stored as {key}"
         return np.load(self._folder / f"{key}.npy", mmap_mode="r", allow_pickle=False)

@@ -225,8 +225,7 @@ def _front_to_back(depths: np.ndarray, visible: np.ndarray) -> np.ndarray:
 
 def _ends(lengths: np.ndarray) -> np.ndarray:
     """Boundaries of consecutive ranges of these lengths, starting at 0."""
-    total = int(lengths.sum(dtype=np.int64))
-    if total > MAX_INTERSECTIONS:
+    if (total := int(lengths.sum(dtype=np.int64))) > MAX_INTERSECTIONS:
         raise InputError(
             f"The splats of one view touch {total:,} tiles in total, at most {MAX_INTERSECTIONS:,} "
             "are supported; are the scales right? If so, use smaller images."

@@ -156,8 +156,7 @@ class RobustEstimator(Estimator):
         `flagged`, all probabilities are 0. They are deterministic, and finite for any evidence.
         """
         seen_sum, flagged_sum = gaussian_visibility.summed_visibility(evidence, self.half_weight)
-        seen = seen_sum > 0
-        roles = None
+        seen, roles = seen_sum > 0, None
         if flagged and seen.any():
             sample = gaussian_visibility.stratified_sample(seen_sum, flagged_sum, self.sample)
             roles = self._roles(evidence, *sample)

@@ -84,6 +84,5 @@ def _by_splat(splats: jax.Array, moments: jax.Array) -> jax.Array:
     m, x, y, xx, xy, yy = moments.T
     first, second = a * x + b * y, c * y
     by_a, by_b = a * xx + b * xy, a * xy + b * yy
-    return 2 * jnp.stack(
-        [a * first, b * first + c * second, -by_a, -by_b, -c * yy, 0.5 * m], axis=1
-    )
+    rows = a * first, b * first + c * second, -by_a, -by_b, -c * yy, 0.5 * m
+    return 2 * jnp.stack(rows, axis=1)

@@ -106,7 +106,6 @@ def layout_problems(ply: PlyData) -> Iterator[Problem]:
     """What readers other than this package may not expect of the layout of a PLY file."""
     vertex = ply["vertex"]
     names = [prop.name for prop in vertex.properties]
-    other = [name for name in names if name not in INRIA]
     if ply.text or ply.byte_order == ">":
         kind = "text" if ply.text else "big endian"
         yield Problem("warning", "encoding", 0, f"is {kind}; most viewers read little endian only")
@@ -123,7 +122,7 @@ def layout_problems(ply: PlyData) -> Iterator[Problem]:
         yield Problem("warning", "normals", 0, text)
     if SCALE[2] not in names:
         yield Problem("warning", "discs", 0, "is a 2DGS file; viewers of 3DGS miss scale_2")
-    if other:
+    if other := [name for name in names if name not in INRIA]:
         text = f"has more properties ({', '.join(other)}), with which INRIA's viewer misreads rows"
         yield Problem("warning", "unknown", 0, text)
     if others := [element.name for element in ply.elements if element is not vertex]:

@@ -100,7 +100,8 @@ def _by_view(results: Results, masks: Path, limit: int, warnings: list[str]) -> 
     true = {camera.name: _true_mask(truth, camera, warnings) for camera in chosen}
     warnings += truth.warnings
     found = {camera.name: _read_mask(results, "masks", camera, limit) for camera in chosen}
-    judged = [c for c in chosen if _mask_path(results, "detector", c).exists()]
+    paths = {c.name: result_file(results.folder, image_path("detector", c.name)) for c in chosen}
+    judged = [camera for camera in chosen if paths[camera.name].exists()]
     detector = {camera.name: _read_mask(results, "detector", camera, limit) for camera in judged}
     shares = {name: float(mask.mean()) for name, mask in true.items()}
     scores = {"truth": shares, "found": _scores(found, true)}
@@ -126,7 +127,7 @@ def _true_mask(folder: FolderDetector, camera: Camera, warnings: list[str]) -> n
 
 
 def _read_mask(results: Results, kind: str, camera: Camera, limit: int) -> np.ndarray:
-    path = _mask_path(results, kind, camera)
+    path = result_file(results.folder, image_path(kind, camera.name))
     mask = read_probability(path, zero_one=False, max_bytes=limit) > 0.5
     if mask.shape != (camera.height, camera.width):
         raise InputError(
@@ -134,10 +135,6 @@ def _read_mask(results: Results, kind: str, camera: Camera, limit: int) -> np.nd
             f"{camera.height}, as in result.json; run gsc-jax locate again"
         )
     return mask
-
-
-def _mask_path(results: Results, kind: str, camera: Camera) -> Path:
-    return result_file(results.folder, image_path(kind, camera.name))
 
 
 def _scores(masks: Mapping[str, np.ndarray], truth: Mapping[str, np.ndarray]) -> dict[str, Any]:

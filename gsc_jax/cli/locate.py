@@ -71,8 +71,7 @@ def read_inputs(
     attributes = detector_choice.uses_attributes(options, estimator)
     detector = detector_choice.open_detector(options, attributes=attributes)
     files = [options.scene, options.masks, detector_choice.network_path(options), options.spec]
-    files += camera_files(options.cameras) if options.cameras else []
-    files = [path for path in files if path is not None]
+    files = [*filter(None, files), *(camera_files(options.cameras) if options.cameras else [])]
     refuse_overlap(options.out, files, written=(*FILES, *BY_CAMERA))
     placed = scene_input.ORBIT_VIEWS if detector else previews
     scene, cameras = scene_input.read_scene(options, warnings, monitor, placed=placed)

@@ -103,8 +103,7 @@ def parse(argv: Sequence[str]) -> Command:
     if path is None or argv[0] not in ("locate", "scan"):
         return _parse(argv)
     file = read_config_file(path)
-    command = _parse(argv, file.options())
-    if command.method == file.method:
+    if (command := _parse(argv, file.options())).method == file.method:
         return command
     return _parse(argv, file.for_method(command.method).options())
 

@@ -29,13 +29,12 @@ def refuse_overlap(out: Path, inputs: Sequence[Path], *, written: Sequence[str])
 
     Also for a folder of inputs with `out` inside: the next run would read the results as inputs.
     """
-    folder = Path(os.path.realpath(out))
     results = [os.path.realpath(out / name) for name in written]
     for path in inputs:
         place = Path(os.path.realpath(path))
         if any(place.is_relative_to(result) for result in results):
             raise InputError(f"{path}: the results would overwrite this input; give another --out")
-        if place.is_dir() and folder.is_relative_to(place):
+        if place.is_dir() and Path(os.path.realpath(out)).is_relative_to(place):
             raise InputError(
                 f"{out}: lies in {path}, where the next run would read the results as input; give "
                 "another --out"
@@ -69,9 +68,8 @@ def listed_outputs(out: Path, report: str) -> dict[str, Any]:
 
 def is_output(out: Path, name: str, digests: Mapping[str, Any]) -> bool:
     """Whether a file in a folder of results is as it was written, by the digests in the report."""
-    if name not in digests or not is_inside(out, name):
-        return False
-    return name in REPORTS or content_digest(out / name) == digests[name]
+    listed = name in digests and is_inside(out, name)
+    return listed and (name in REPORTS or content_digest(out / name) == digests[name])
 
 
 def is_inside(out: Path, name: str) -> bool:

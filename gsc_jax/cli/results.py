@@ -138,8 +138,7 @@ def read_by_row(path: Path, total: int) -> np.ndarray:
 
 
 def _read_report(folder: Path) -> dict[str, Any]:
-    path = result_file(folder, "result.json")
-    if not path.exists():
+    if not (path := result_file(folder, "result.json")).exists():
         found = "is a file, not a folder" if folder.is_file() else "no such folder"
         found = "holds no results of gsc-jax locate" if folder.is_dir() else found
         raise InputError(f"{folder}: {found} (result.json); give the --out of a run")

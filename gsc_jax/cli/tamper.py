@@ -138,8 +138,7 @@ def _write_overview(
 ) -> None:
     """Scene before and after, difference and truth, in the views that show most of the edit."""
     best = np.argsort(-edited.visible, kind="stable")
-    count = max(SHEET_ROWS, len(best) // 2)
-    rows = {}
+    count, rows = max(SHEET_ROWS, len(best) // 2), {}
     for camera in evenly_spaced([cameras[i] for i in best[:count]], SHEET_ROWS):
         scenes = original, edited.gaussians
         before, after = (np.asarray(render(s, camera, near=near)[0]) for s in scenes)

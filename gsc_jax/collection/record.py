@@ -42,8 +42,7 @@ def schema(row: Mapping[str, Any]) -> "pa.Schema":
 
 def complete(row: Mapping[str, Any]) -> Row:
     """A row with all columns, so that all rows of a dataset have one schema."""
-    empty: Row = {name: [] for name in (*LISTS, "stages")}
-    return {**dict.fromkeys(RESERVED), **empty, **row}
+    return {**dict.fromkeys(RESERVED), **{name: [] for name in (*LISTS, "stages")}, **row}
 
 
 def write_row(out: Path, row: Row) -> None:

@@ -31,8 +31,7 @@ def scan(dataset: "Dataset", *, settings: ScanSettings | None = None) -> "Datase
     Raises:
         InputError: if Ray is missing.
     """
-    ray = import_ray()
-    settings = settings or ScanSettings()
+    ray, settings = import_ray(), settings or ScanSettings()
     configuration = settings.digest()
     out, above = settings.out, settings.report_above
     finished = finished_scenes(out, configuration, report_above=above) if out else {}

@@ -133,8 +133,7 @@ class _MappingDetector:
     needs_image = False
 
     def select(self, cameras: Sequence[Camera]) -> list[Camera]:
-        found = [camera for camera in cameras if camera.name in self.maps]
-        if not found:
+        if not (found := [camera for camera in cameras if camera.name in self.maps]):
             raise InputError(
                 f"No camera has a mask: camera names are like {cameras[0].name!r}, mask names like "
                 f"{next(iter(self.maps), None)!r}."
@@ -169,8 +168,7 @@ def as_detector(detector: Any, cameras: Sequence[Camera] = ()) -> Detector:
             "detector must be a detector, a function of the image, or probability maps by camera "
             f"name, got {type(detector).__name__}; for a folder of masks, FolderDetector(path)"
         )
-    maps = list(detector)
-    if len(maps) != len(cameras):
+    if len(maps := list(detector)) != len(cameras):
         raise InputError(
             f"expected a mask for each of {len(cameras)} cameras, in their order, got "
             f"{len(maps)}; give masks by camera name to leave cameras out"

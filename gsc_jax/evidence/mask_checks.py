@@ -50,8 +50,7 @@ def doubts(observation: Observation, *, near: float = NEAR) -> list[str]:
             f"The masks follow the {name} of the images: one threshold on it separates what they "
             "flag in all views. They are no evidence of an edit; use another detector."
         )
-    agreed = agreement(observation.evidence)
-    if agreed is not None and agreed < MIN_CORRELATION:
+    if (agreed := agreement(observation.evidence)) is not None and agreed < MIN_CORRELATION:
         found.append(
             f"The masks of different views flag the same Gaussians hardly more often than chance "
             f"would (correlation {agreed:.2f}). They are no evidence of an edit; are they of these "
@@ -121,8 +120,7 @@ def agreement(evidence: EvidenceOfViews) -> float | None:
         view = evidence.view(index)
         weight, own = np.asarray(view.total, float), np.asarray(view.tampered, float)
         rest = total - weight
-        both = (weight > 0) & (rest > 0)
-        if not both.any():
+        if not (both := (weight > 0) & (rest > 0)).any():
             continue
         here, there = own[both] / weight[both], (tampered - own)[both] / rest[both]
         covariance = np.cov(here, there, aweights=weight[both])

@@ -100,8 +100,7 @@ def view_mask(
         return _per_view_mask(gaussians, camera, scored, threshold=threshold, near=near)
     if rule == "share":
         return rendered_share(gaussians, camera, scored.labels, near=near) > 0.5
-    share = rendered_share(gaussians, camera, scored.tamper, near=near, above=threshold)
-    return share > threshold
+    return rendered_share(gaussians, camera, scored.tamper, near=near, above=threshold) > threshold
 
 
 def pictures(
@@ -139,16 +138,14 @@ def stored_masks(
 
     def put(camera: Camera) -> None:
         with monitor.stage("masks"):
-            found = compute(camera)
-            arrays = found if isinstance(found, tuple) else (found,)
+            arrays = jax.tree.leaves(compute(camera))
             for kind, array in zip((MASK, RENDER, SCORE), arrays, strict=False):
                 store.put(kind, camera.name, array)
 
     with ViewThreads(gaussians) as pool:
         for done, _ in enumerate(bounded_map(pool, put, cameras), start=1):
             monitor.progress("masks", done, len(cameras))
-    names = tuple(camera.name for camera in cameras)
-    return ByView(names, lambda name: np.array(store.get(MASK, name)))
+    return ByView(tuple(c.name for c in cameras), lambda name: np.array(store.get(MASK, name)))
 
 
 def rendered_share(

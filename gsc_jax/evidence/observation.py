@@ -148,8 +148,7 @@ def check_cameras(cameras: Camera | Iterable[Camera]) -> list[Camera]:
         raise InputError(f"cameras must be Camera objects, got {', '.join(sorted(others))}")
     for camera in cameras:
         check_camera(camera)
-    names = [camera.name for camera in cameras]
-    if not names:
+    if not (names := [camera.name for camera in cameras]):
         raise InputError("no cameras: expected at least one view of the scene")
     if duplicates := sorted({name for name in names if names.count(name) > 1}):
         raise InputError(
@@ -167,8 +166,7 @@ def votes_of_view(gaussians: Gaussians, camera: Camera, mask: np.ndarray) -> Tal
 def _judge(detector: Detector, image: np.ndarray | None, camera: Camera, store: ArrayStore) -> None:
     """Run the detector on a view, and store its map and diagnostics."""
     probability = fit_to_view(detector(image, camera), camera)
-    counts = getattr(detector, "diagnostics", {}).get(camera.name)
-    if counts is not None:
+    if (counts := getattr(detector, "diagnostics", {}).get(camera.name)) is not None:
         encoded = json.dumps(counts, default=float).encode()
         store.put(DIAGNOSTICS, camera.name, np.frombuffer(encoded, np.uint8))
     store.put(MAP, camera.name, half_precision(probability))

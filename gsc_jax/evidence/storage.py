@@ -4,6 +4,7 @@ A store in a given folder keeps everything in files, so that a run that was kill
 what is in the store is complete, and need not be computed again.
 """
 
+import contextlib
 import hashlib
 import shutil
 import tempfile
@@ -43,18 +44,14 @@ class ArrayStore:
 
         The digest at the end of a file is checked here, and not by `get`.
         """
-        key = _key(kind, name)
-        if key in self._in_memory:
-            return True
-        try:
-            return self._folder is not None and _intact(self._folder / f"{key}.npy")
-        except (OSError, ValueError):
-            return False
+        key, folder = _key(kind, name), self._folder
+        with contextlib.suppress(OSError, ValueError):
+            return key in self._in_memory or bool(folder and _intact(folder / f"{key}.npy"))
+        return False
 
     def get(self, kind: str, name: str) -> np.ndarray:
         """An array, memory-mapped if it lies in a file; raises OSError if it is missing."""
-        key = _key(kind, name)
-        if key in self._in_memory:
+        if (key := _key(kind, name)) in self._in_memory:
             return self._in_memory[key]
         assert self._folder is not None, f"nothing was stored as {key}"
         return np.load(self._folder / f"{key}.npy", mmap_mode="r", allow_pickle=False)

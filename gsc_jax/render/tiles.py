@@ -164,8 +164,7 @@ def splat_table(splats: Splats) -> jax.Array:
     opaque = splats.opacities > 0
     logs = jnp.where(opaque, jnp.log(jnp.where(opaque, splats.opacities, 1.0)), -jnp.inf)
     table = [splats.means, splats.whitening, logs[:, None]]
-    padded = jnp.pad(jnp.concatenate(table, axis=1), ((0, 1), (0, 0)))
-    return padded.at[-1, -1].set(-jnp.inf)
+    return jnp.pad(jnp.concatenate(table, axis=1), ((0, 1), (0, 0))).at[-1, -1].set(-jnp.inf)
 
 
 class TileLists(NamedTuple):
@@ -209,8 +208,7 @@ def bin_splats(
     ones, shape = np.ones(len(covered), np.int8), (len(order), rows * columns)
     by_tile = csr_array((ones, covered, ends), shape=shape).tocsc()  # the transpose
     starts, counts = by_tile.indptr[:-1], np.diff(by_tile.indptr) * kept
-    ids = order.take(by_tile.indices)
-    return TileLists(ids=ids, starts=starts, counts=counts, total=total)
+    return TileLists(ids=order.take(by_tile.indices), starts=starts, counts=counts, total=total)
 
 
 def _front_to_back(depths: np.ndarray, visible: np.ndarray) -> np.ndarray:
@@ -227,8 +225,7 @@ def _front_to_back(depths: np.ndarray, visible: np.ndarray) -> np.ndarray:
 
 def _ends(lengths: np.ndarray) -> np.ndarray:
     """Boundaries of consecutive ranges of these lengths, starting at 0."""
-    total = int(lengths.sum(dtype=np.int64))
-    if total > MAX_INTERSECTIONS:
+    if (total := int(lengths.sum(dtype=np.int64))) > MAX_INTERSECTIONS:
         raise InputError(
             f"The splats of one view touch {total:,} tiles in total, at most {MAX_INTERSECTIONS:,} "
             "are supported; are the scales right? If so, use smaller images."

@@ -65,8 +65,7 @@ def check_views(
     if share < LOW_SHARE:
         warnings.append(f"the cameras together see only {share:.1%} of the Gaussians")
     seeing = (depths > 0).mean(axis=1) >= min(MIN_SHARE, 0.1 / len(cameras))
-    blind = [camera.name for camera, sees in zip(cameras, seeing, strict=True) if not sees]
-    if blind:
+    if blind := [camera.name for camera, sees in zip(cameras, seeing, strict=True) if not sees]:
         names = ", ".join(blind[:5]) + (", ..." if len(blind) > 5 else "")
         advice = _better_convention(points, cameras)
         advice = advice or NO_CONVENTION * (len(blind) > MAX_BLIND * len(cameras))

@@ -182,8 +182,7 @@ def found_traces(result: Result) -> list[Trace]:
 
 def views_sentence(result: Result) -> str | None:
     """How many views were used and why no more; None if all available views were used."""
-    stop = result.early_stopping
-    if stop is None or stop.views == stop.available:
+    if (stop := result.early_stopping) is None or stop.views == stop.available:
         return None
     return f"{stop.views} of {stop.available} used. {stop.reason}"
 

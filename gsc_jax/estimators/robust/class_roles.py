@@ -163,5 +163,4 @@ class _RateTable:
 
     def patterns(self, classes: list[int] | np.ndarray, *, fallback: int) -> np.ndarray:
         """Patterns of some classes; views that hardly see a class use the rate of the fallback."""
-        rates = np.where(self.seen > LEAST_VIEW, self.rates, self.rates[fallback])
-        return rates[classes] > 0.5
+        return np.where(self.seen > LEAST_VIEW, self.rates, self.rates[fallback])[classes] > 0.5

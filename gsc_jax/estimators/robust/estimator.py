@@ -16,14 +16,8 @@ import dataclasses
 import numpy as np
 
 from gsc_jax.estimators.protocol import NONE_FLAGGED, Estimator, Finding, Prior, unanimous
-from gsc_jax.estimators.robust import diagnostics, prior_fusion
+from gsc_jax.estimators.robust import diagnostics, gaussian_visibility, prior_fusion
 from gsc_jax.estimators.robust.class_roles import Roles, assign_roles, scene_probability
-from gsc_jax.estimators.robust.gaussian_visibility import (
-    BLOCK,
-    stratified_sample,
-    summed_visibility,
-    visibility,
-)
 from gsc_jax.estimators.robust.latent_classes import fit_classes
 from gsc_jax.estimators.robust.mean_field import smooth
 from gsc_jax.evidence.lifting import EvidenceOfViews
@@ -161,11 +155,11 @@ class RobustEstimator(Estimator):
         The positions (N, D) only serve to find neighbours. If no mask covers anything, not
         `flagged`, all probabilities are 0. They are deterministic, and finite for any evidence.
         """
-        seen_sum, flagged_sum = summed_visibility(evidence, self.half_weight)
-        seen = seen_sum > 0
-        roles = None
+        seen_sum, flagged_sum = gaussian_visibility.summed_visibility(evidence, self.half_weight)
+        seen, roles = seen_sum > 0, None
         if flagged and seen.any():
-            roles = self._roles(evidence, *stratified_sample(seen_sum, flagged_sum, self.sample))
+            sample = gaussian_visibility.stratified_sample(seen_sum, flagged_sum, self.sample)
+            roles = self._roles(evidence, *sample)
         if roles is None:
             nothing = np.zeros(len(seen), np.float32)
             return MaskEstimate(probability=nothing, seen=seen, region=nothing.astype(np.int8))
@@ -184,7 +178,7 @@ class RobustEstimator(Estimator):
         self, evidence: EvidenceOfViews, sample: np.ndarray, represents: np.ndarray
     ) -> Roles | None:
         """Fit latent classes to sampled Gaussians (S,) and assign their roles."""
-        seen, flagged = visibility(evidence, sample, self.half_weight)
+        seen, flagged = gaussian_visibility.visibility(evidence, sample, self.half_weight)
         fit = fit_classes(
             self.effective_pixels * flagged,
             self.effective_pixels * (seen - flagged),
@@ -225,8 +219,8 @@ def pattern_distance(evidence: EvidenceOfViews, roles: Roles, half_weight: float
     """
     patterns = roles.patterns.astype(np.float32)
     distance = np.empty((evidence.shape[1], len(patterns)), np.float32)
-    for block in blocks(len(distance), BLOCK):
-        seen, flagged = visibility(evidence, block, half_weight)
+    for block in blocks(len(distance), gaussian_visibility.BLOCK):
+        seen, flagged = gaussian_visibility.visibility(evidence, block, half_weight)
         flagged = np.where(roles.inverted[:, None], seen - flagged, flagged)
         distance[block] = (seen - 2 * flagged).T @ patterns.T + flagged.sum(axis=0)[:, None]
     return distance

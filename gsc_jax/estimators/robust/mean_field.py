@@ -31,8 +31,7 @@ def smooth(
     such, `means` (N, 3) centres in any unit. Gaussians that no view has `seen` (N,) get and send no
     message. `strength` is the log odds that `neighbours` contribute if all belong to one class.
     """
-    probability = softmax(logits, axis=1)
-    means = np.asarray(means)
+    probability, means = softmax(logits, axis=1), np.asarray(means)
     active = np.flatnonzero(seen & np.isfinite(means).all(axis=1))
     if tampered.all() or not tampered.any() or strength == 0 or len(active) <= neighbours:
         return probability

@@ -93,7 +93,8 @@ def direction(attributes: Array, groups: Partition, *, per_feature: bool = False
     # Adding term by term is fused by XLA; its sum over so short an axis is slow on a CPU.
     signs = [jnp.sign(term) for term in terms]
     u = sum(signs) / len(terms) if per_feature else jnp.sign(sum(terms))
-    return jnp.where(groups.middle & (jnp.any(groups.high) & jnp.any(groups.low)), u, 0.0)
+    comparable = jnp.any(groups.high) & jnp.any(groups.low)
+    return jnp.where(groups.middle & comparable, u, 0.0)
 
 
 def loss_3d(
@@ -147,6 +148,7 @@ def standardised_attributes(gaussians: Gaussians) -> np.ndarray:
     log_scales = np.maximum(host.log_scales, -MAX_ABS_LOGIT)
     raw = np.concatenate([host.means, host.sh[:, 0], logits, log_scales, rotations], axis=1).T
     # In NumPy, because a median is a sort, which is ten times slower in XLA on a CPU.
-    center, spread = median_and_mad(raw[:, np.isfinite(raw).all(axis=0)], axis=1)
+    usable = raw[:, np.isfinite(raw).all(axis=0)]
+    center, spread = median_and_mad(usable, axis=1)
     scaled = (raw - center) / np.where(spread > 0, spread, 1.0)
     return np.where((spread > 0) & np.isfinite(raw), scaled, np.float32(0))

@@ -61,7 +61,7 @@ HEADLINES: dict[Outcome, str] = {
     "none": "No evidence of editing.",
 }
 COUNTS: dict[str, dict[Outcome, tuple[int, int]]] = {
-    "masks and attributes": {"evidence": (0, 88), "inconclusive": (9, 8), "none": (23, 0)},
+    "masks and attributes": {"evidence": (0, 89), "inconclusive": (9, 7), "none": (23, 0)},
     "masks": {"evidence": (3, 91), "inconclusive": (11, 12), "none": (46, 2)},
     "attributes": {"evidence": (0, 69), "inconclusive": (5, 41), "none": (69, 110)},
 }

@@ -75,7 +75,7 @@ def test_the_rates_of_the_outcomes_are_those_of_the_tables():
     ("verdict", "basis", "weak"),
     [
         (0.01, "attributes", True),
-        (0.4, "attributes", False),
+        (0.4, "attributes", True),
         (0.9, "attributes", False),
         (0.01, "masks", False),
         (0.4, "masks and attributes", False),

@@ -138,7 +138,8 @@ def stored_masks(
 
     def put(camera: Camera) -> None:
         with monitor.stage("masks"):
-            arrays = jax.tree.leaves(compute(camera))
+            found = compute(camera)
+            arrays = found if isinstance(found, tuple) else (found,)
             for kind, array in zip((MASK, RENDER, SCORE), arrays, strict=False):
                 store.put(kind, camera.name, array)
 

@@ -30,8 +30,8 @@ class Classification:
     """Calibrated output of the classifier for a scene of N Gaussians.
 
     The log odds (N,) float32 that a Gaussian is tampered are the base rate where no features are
-    `known`, (N,) bool. `middle` is the median of the others, at most the base rate, and `peak` the
-    highest mean around a place.
+    `known`, (N,) bool. Before the edge was moved (`edge.py`), `middle` is the median of the others,
+    at most the base rate, and `peak` the highest mean around a place.
     """
 
     known: np.ndarray

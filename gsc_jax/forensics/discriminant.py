@@ -21,14 +21,17 @@ MAX_DISCRIMINANT = 12.0
 def discriminant(places: Places, log_odds: np.ndarray) -> np.ndarray:
     """Log odds of P places by a discriminant that starts from log odds (P,), shape (P,)."""
     level = (np.median(log_odds) + log_odds.max()) / 2
-    scores = linear_discriminant(places.statistics, expit(STEEPNESS * (log_odds - level)))
-    return np.clip(places.around.mean(scores), -MAX_DISCRIMINANT, MAX_DISCRIMINANT)
+    inside = expit(STEEPNESS * (log_odds - level))
+    normal, offset = linear_discriminant(places.statistics, inside)
+    scores = places.around.mean(places.statistics @ normal - offset)
+    return np.clip(scores, -MAX_DISCRIMINANT, MAX_DISCRIMINANT)
 
 
-def linear_discriminant(values: np.ndarray, inside: np.ndarray) -> np.ndarray:
-    """Scores (M,) of values (M, D), above 0 nearer to those inside than to the others.
+def linear_discriminant(values: np.ndarray, inside: np.ndarray) -> tuple[np.ndarray, float]:
+    """Normal n (D,) and offset d: x @ n - d is above 0 nearer to those inside than to the others.
 
-    `inside` are weights (M,) in [0, 1]; neither they nor their complements may all be 0.
+    `inside` are weights in [0, 1] of values (M, D). Neither they nor their complements may all be
+    0.
     """
     centers = [weights @ values / weights.sum() for weights in (inside, 1 - inside)]
     covariance = RIDGE * np.eye(values.shape[1])
@@ -36,4 +39,4 @@ def linear_discriminant(values: np.ndarray, inside: np.ndarray) -> np.ndarray:
         apart = values - center
         covariance += (apart.T * weights) @ apart / len(values)
     normal = np.linalg.solve(covariance, centers[0] - centers[1])
-    return (values - (centers[0] + centers[1]) / 2) @ normal
+    return normal, float((centers[0] + centers[1]) / 2 @ normal)

@@ -49,13 +49,12 @@ def quantisation(gaussians: Gaussians, neighbours: np.ndarray) -> Trace:
         name: np.array([off_levels(column, neighbours) for column in np.asarray(values).T])
         for name, values in groups.items()
     }
-    trained = ~is_untrained(gaussians)
-    marks["colours"] &= ~is_black(gaussians.sh).T[:, None]
     # A tile has its own levels in all groups; an edit changes one, or has values off all levels.
     tile = np.all([mark[:, 1].mean(axis=0) > 0.5 for mark in marks.values()], axis=0)
+    marks["colours"] &= ~is_black(gaussians.sh).T[:, None]
     score, names = np.zeros(len(gaussians), np.float32), []
     for name, mark in marks.items():
-        odd = (mark[:, 0] | mark[:, 1] & ~tile) & trained
+        odd = (mark[:, 0] | mark[:, 1] & ~tile) & ~is_untrained(gaussians)
         one = region_scores(odd.mean(axis=0) > 0.5, neighbours)
         score = 1 - (1 - score) * (1 - one)
         names += [name] * bool((one > 0.5).any())

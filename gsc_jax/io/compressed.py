@@ -2,7 +2,8 @@
 
 PlayCanvas `.compressed.ply`, `.spz` and SOG are read as the Gaussians that they quantise, in the
 axes in which they are stored. Some writers of .spz rotate a scene to y-up axes; the cameras of the
-original .ply then point past it. gsply silently misreads a plain .ply that is not float32.
+original .ply then point past it. gsply must not be given a plain .ply: it silently misreads
+properties that are not float32.
 """
 
 import gzip

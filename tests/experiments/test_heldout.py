@@ -1,5 +1,8 @@
 import heldout
+import numpy as np
 import pandas as pd
+
+from gsc_jax.cli.report.wording import TRACES
 
 
 def rows():
@@ -14,7 +17,21 @@ def rows():
             {**columns, **scores, "edit": edit, "family": family, "verdict": verdict}
             for edit, family, verdict in cases
         ]
+    ).assign(**dict.fromkeys(TRACES, np.nan))
+
+
+def test_traces_are_counted_and_compared_with_the_edit():
+    text = heldout.report(
+        rows().assign(
+            **{
+                "copy-move": [np.nan, np.nan, 0.9, 0.1, np.nan, 0.5],
+                "quantisation": [np.nan, 0.0, np.nan, np.nan, np.nan, 1.0],
+            }
+        )
     )
+    assert "| copy-move | 0 of 2 | 3 of 4 | 2 |" in text
+    assert "| quantisation | 1 of 2 | 1 of 4 | 1 |" in text
+    assert "| row-order | 0 of 2 | 0 of 4 | 0 |" in text
 
 
 def test_edited_cases_are_counted_by_family():

@@ -19,7 +19,7 @@ from forensics_cases import (
 from scipy.special import expit, logit
 
 from gsc_jax import locate
-from gsc_jax.benchmark.metrics import auc, truth_mask
+from gsc_jax.benchmark.metrics import auc, confusion, truth_mask
 from gsc_jax.benchmark.scenes import make_room, tampered_room
 from gsc_jax.forensics.calibration import LEVEL_BESIDE_TRACES, MAX_LOG_ODDS
 from gsc_jax.forensics.classifier import default_classifier
@@ -40,6 +40,17 @@ def test_pasted_object_is_found_in_an_export_without_traces():
     evidence = forensic_evidence(SAVED)
     assert auc(evidence.log_odds, MADE.labels) > 0.9
     assert 0 <= evidence.verdict <= 1
+
+
+def test_the_edge_is_moved(monkeypatch):
+    """Without it, more of what surrounds the object is labelled."""
+    sharp = forensic_evidence(SAVED, with_traces=False)
+    monkeypatch.setattr("gsc_jax.forensics.evidence.sharpened", lambda output, *_: output)
+    blurred = forensic_evidence(SAVED, with_traces=False)
+    assert sharp.level == blurred.level
+    labels = MADE.labels
+    scores = [confusion(one.log_odds > one.level, labels).f1 for one in (sharp, blurred)]
+    assert scores[0] > scores[1]
 
 
 def test_traces_are_computed_unless_they_are_declined():

@@ -14,6 +14,7 @@ from forensics_cases import (
     labels_of,
     quantised_room,
     room,
+    with_copy,
     without_higher_bands,
 )
 from garden import make_garden
@@ -23,6 +24,7 @@ from scipy.spatial.transform import Rotation
 from strategies import random_scene, with_row
 
 from gsc_jax.benchmark.scenes import make_room
+from gsc_jax.forensics.copy_move import copy_move
 from gsc_jax.forensics.evidence import forensic_evidence
 from gsc_jax.forensics.quantisation import quantisation
 from gsc_jax.forensics.traces import any_trace, quaternion_convention, sh_degree
@@ -157,14 +159,38 @@ def test_what_no_view_showed_in_training_is_no_edit(opacity):
     """Spheres of opacity 0.1, in colours of 8 bits, and without harmonics."""
     start = np.full((len(PART), 3), -3.0, np.float32)
     sh = np.zeros((len(PART), *room().sh.shape[1:]), np.float32)
-    sh[:, 0] = np.random.default_rng(0).integers(0, 256, (len(PART), 3)) / 255
+    sh[:, 0] = np.random.default_rng(0).integers(0, 16, (len(PART), 3)) / 16
     logit = np.float32(np.log(opacity / (1 - opacity)))
-    same = {"log_scales": start, "sh": sh, "quats": np.array([1, 0, 0, 0], np.float32)}
+    turned = np.array([0.8, 0.6, 0, 0], np.float32)  # the whole scene, after training
+    same = {"log_scales": start, "sh": sh, "quats": turned}
     untrained = changed(room(), PART, **same, logit_opacities=logit)
     visible = changed(room(), PART, **same, logit_opacities=2.0)
     for trace in (quantisation, sh_degree, quaternion_convention):
         assert not detected(trace, untrained).found
-    assert detected(sh_degree, visible).found
+        assert detected(trace, visible).found
+
+
+def test_black_values_that_clones_share_are_no_levels():
+    sh = np.array(room().sh)
+    values = np.random.default_rng(0).choice(
+        np.linspace(-1.9, -1.8, 20, dtype=np.float32), 3 * len(PART)
+    )
+    sh[PART, 0] = values.reshape(-1, 3)
+    assert detected(quantisation, changed(room(), PART, sh=(sh + 2)[PART])).found
+    assert not detected(quantisation, dataclasses.replace(room(), sh=sh)).found
+
+
+def test_black_gaussians_of_a_tile_belong_to_the_tile():
+    """An exporter gave a tile a codebook of its own for scales and colours."""
+    scene = quantised_room(20_000)
+    tile = central_rows(scene, 2_500)
+    sh, log_scales = np.array(scene.sh), np.array(scene.log_scales)
+    sh[tile[::3], 0] = -30 / 16
+    sh[tile, 0] += 1 / 32
+    log_scales[tile] += 1 / 32
+    assert not detected(
+        quantisation, dataclasses.replace(scene, sh=sh, log_scales=log_scales)
+    ).found
 
 
 def test_a_turned_part_of_a_file_without_largest_components_is_no_trace():
@@ -177,3 +203,11 @@ def test_a_turned_part_of_a_file_without_largest_components_is_no_trace():
     largest = np.take_along_axis(quats, np.abs(quats).argmax(axis=1)[:, None], axis=1)
     stored = dataclasses.replace(room(), quats=(quats * np.sign(largest)).astype(np.float32))
     assert not detected(quaternion_convention, stored).found
+
+
+@pytest.mark.parametrize(("opacity", "found"), [(0.1, False), (0.9, True)])
+def test_what_no_view_showed_in_training_is_no_copy(opacity, found):
+    """Untrained Gaussians are alike, wherever they are."""
+    start = {"log_scales": -3.0, "quats": np.array([1, 0, 0, 0], np.float32)}
+    alike = changed(room(), PART, **start, logit_opacities=np.log(opacity / (1 - opacity)))
+    assert detected(copy_move, with_copy(alike, PART)).found == found

@@ -14,7 +14,7 @@ from gsc_jax.forensics.features import compute_features
 from gsc_jax.forensics.places import find_places
 
 ROOM = room(1_000)
-PLACES = find_places(compute_features(ROOM), ROOM.means)
+PLACES = find_places(compute_features(ROOM), np.asarray(ROOM.means))
 
 
 def test_log_odds_are_bounded():

@@ -255,7 +255,8 @@ def _from_attributes(estimator: Estimator, prior: Prior | None, monitor: Monitor
 
 def _unusable(gaussians: Gaussians) -> list[str]:
     """Warn about rows that cannot be rendered, counted by reason."""
-    if not (reasons := {name: bad for name, bad in invalid_rows(gaussians).items() if bad.any()}):
+    reasons = {name: rows for name, rows in invalid_rows(gaussians).items() if rows.any()}
+    if not reasons:
         return []
     count = int(np.any(list(reasons.values()), axis=0).sum())
     counted = ", ".join(f"{int(rows.sum())} {name}" for name, rows in reasons.items())

@@ -115,7 +115,8 @@ def _checked(model: type[pydantic.BaseModel], table: Table, where: str, *, hint:
 
 def _method(path: Path, command: Table, config: Mapping[str, Any]) -> Method:
     """The method of a file, which both of its tables may name."""
-    if (name := config.get("name")) is not None and name not in list(METHODS):
+    name = config.get("name")
+    if name is not None and name not in list(METHODS):
         raise InputError(f"{path}: config.name: expected {', '.join(METHODS)}, found {shown(name)}")
     method = command.get("method", name or "robust")
     if name not in (None, method):
@@ -138,7 +139,8 @@ def _check_settings(path: Path, command: Table, config: Table) -> None:
 
 def _reopen_schedule(base: Estimator, config: Table, views: Any) -> None:
     """Unset the start of the 3D loss if it is the default for the number of views of the run."""
-    if (loop := config.get("loop")) is None or not isinstance(views, int):
+    loop = config.get("loop")
+    if loop is None or not isinstance(views, int):
         return
     unset = replaced(base, {**config, "loop": {**loop, "contrastive_start": None}})
     default = typing.cast(Any, unset.for_views(views)).loop.contrastive_start

@@ -54,7 +54,8 @@ def network_path(options: Locate) -> Path | None:
 
 def uses_attributes(options: Locate, estimator: Estimator) -> bool:
     """Whether the attributes contribute evidence; InputError if the estimator cannot use them."""
-    if (named := NATIVE in options.detector) and not estimator.uses_prior:
+    named = NATIVE in options.detector
+    if named and not estimator.uses_prior:
         raise InputError(
             f"--method {options.method}: uses masks only (or config.prior_weight is 0), and not "
             "--detector native; use --method robust"

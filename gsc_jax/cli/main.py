@@ -103,7 +103,8 @@ def parse(argv: Sequence[str]) -> Command:
     if path is None or argv[0] not in ("locate", "scan"):
         return _parse(argv)
     file = read_config_file(path)
-    if (command := _parse(argv, file.options())).method == file.method:
+    command = _parse(argv, file.options())
+    if command.method == file.method:
         return command
     return _parse(argv, file.for_method(command.method).options())
 

@@ -91,8 +91,9 @@ def run_scan(options: Scan, *, monitor: Monitor) -> tuple[list[str], list[str]]:
         ray.data.DataContext.get_current().enable_progress_bars = False
         dataset = ray.data.from_items(entries, override_num_blocks=min(len(entries), MAX_BLOCKS))
         found = scan(dataset, settings=settings).iter_rows()
+        kept = ("id", "key", "status", "error_class")
         tracked = monitor.track("scenes", found, len(entries))
-        done = [{name: row[name] for name in ("id", "key", "status")} for row in tracked]
+        done = [{name: row[name] for name in kept} for row in tracked]
         merge_rows(out, settings.digest(), {row["id"]: row["key"] for row in done})
         rows = list(read_rows(out, settings.digest()))
         with atomic(out / PAGE) as temporary:

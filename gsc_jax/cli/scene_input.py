@@ -104,7 +104,8 @@ def choose_cameras(
     if not cameras:  # none were placed, so that only the scene is checked
         warnings += scale_warnings(scene.gaussians, opaque_means(scene.gaussians))
         return []
-    if (count := options.views or len(cameras)) > len(cameras):
+    count = options.views or len(cameras)
+    if count > len(cameras):
         warnings.append(f"--views {count}: there are only {len(cameras)} usable cameras")
     chosen = evenly_spaced(cameras, count)
     with naming(options.cameras or options.scene):
@@ -125,7 +126,8 @@ def check_names(cameras: Sequence[Camera]) -> None:
     """Refuse names of cameras that cannot name files, or name one file, or a file as a folder."""
     names: dict[PurePath, str] = {}
     for name in (camera.name for camera in cameras):
-        if UNFINISHED in (path := image_path("masks", name)).parts:
+        path = image_path("masks", name)
+        if UNFINISHED in path.parts:
             raise InputError(f"camera {name!r}: the name {UNFINISHED} is reserved; rename it")
         if path in names:
             raise InputError(

@@ -14,6 +14,8 @@ from gsc_jax.scene import InputError
 Entry = dict[str, str | None]
 """`id`, `path`, `cameras`, `masks`, and further columns, which a scan keeps."""
 PLACES = ("path", "cameras", "masks")
+MANIFESTS = (".csv", ".parquet", ".pq")
+LISTS = (".txt", ".lst", ".list")
 
 
 def read_manifest(source: Path) -> list[Entry]:
@@ -28,10 +30,11 @@ def read_manifest(source: Path) -> list[Entry]:
     if source.is_dir():
         rows = _files(sorted(source.rglob("*")), source)
     elif not source.exists() and glob.has_magic(str(source)):
-        rows = _files(sorted(Path(source.anchor).glob(str(source.relative_to(source.anchor)))))
-    elif suffix in (".csv", ".parquet", ".pq"):
+        pattern = str(source.relative_to(source.anchor))
+        rows = _files(sorted(Path(source.anchor).glob(pattern)))
+    elif suffix in MANIFESTS:
         rows = _rows(source)
-    elif suffix in (".txt", ".lst", ".list"):
+    elif suffix in LISTS:
         text = existing_file(source, expected="a list").read_text("utf-8", "surrogateescape")
         rows = [{"path": line.strip()} for line in text.splitlines() if line.strip()]
     else:

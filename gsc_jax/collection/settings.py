@@ -38,7 +38,8 @@ class ScanSettings:
 
     def __post_init__(self) -> None:
         for name, least in {"workers": 1, "cpus": 1, "timeout": 1e-3, "retries": 0}.items():
-            if not (math.isfinite(value := getattr(self, name)) and value >= least):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value >= least):
                 raise InputError(f"{name} {value:g}: expected a number of at least {least:g}")
         if self.report_above is not None and not 0 <= self.report_above <= 1:
             raise InputError(f"report_above {self.report_above:g}: expected a probability")

@@ -73,7 +73,8 @@ class Prior:
             raise ValueError(f"probability must have shape (N,), got {self.probability.shape}")
         if not 0 <= self.verdict <= 1:
             raise ValueError(f"verdict must be in [0, 1], got {self.verdict}")
-        if not (within := (self.probability >= 0) & (self.probability <= 1)).all():
+        within = (self.probability >= 0) & (self.probability <= 1)
+        if not within.all():
             found = f"{self.probability[~within][0]} in row {np.argmin(within)}"
             raise ValueError(f"probability must be in [0, 1], got {found}")
         if self.known.dtype != bool or self.known.shape != self.probability.shape:

@@ -28,10 +28,9 @@ def discriminant(places: Places, log_odds: np.ndarray) -> np.ndarray:
 
 
 def linear_discriminant(values: np.ndarray, inside: np.ndarray) -> tuple[np.ndarray, float]:
-    """Normal n (D,) and offset d: x @ n - d is above 0 nearer to those inside than to the others.
+    """Normal n (D,) and offset d: x @ n - d is above 0 for x nearer to the inside than the outside.
 
-    `inside` are weights in [0, 1] of values (M, D). Neither they nor their complements may all be
-    0.
+    `inside` are weights in [0, 1] of values (M, D), neither all 0 nor all 1.
     """
     centers = [weights @ values / weights.sum() for weights in (inside, 1 - inside)]
     covariance = RIDGE * np.eye(values.shape[1])

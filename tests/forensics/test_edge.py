@@ -1,6 +1,7 @@
 """The edge of what stands out moves to where the attributes of the Gaussians change."""
 
 import dataclasses
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -89,3 +90,15 @@ def test_log_odds_are_bounded_and_move_with_their_factor_and_shift(edited, seed,
     free &= np.abs(after.log_odds) < MAX_LOG_ODDS
     expected = factor * after.log_odds + shift
     np.testing.assert_allclose(moved.log_odds[free], expected[free], atol=0.05 * factor)
+
+
+def test_memory_does_not_grow_with_the_number_of_columns(edited, monkeypatch):
+    """All columns of the Gaussians around took 260 bytes per Gaussian at half of the scene."""
+    monkeypatch.setattr("gsc_jax.forensics.edge.SAMPLE", 2**8)
+    before = blurred(2.0)
+    tracemalloc.start()
+    after = sharpened(before, *edited)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert after is not before
+    assert peak < 130 * len(PART), f"{peak / len(PART):.0f} bytes per Gaussian"

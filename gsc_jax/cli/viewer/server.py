@@ -29,6 +29,7 @@ from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.io.files import atomic, memory_limit
 from gsc_jax.scene import InputError
 
+TITLE_END = "gsc-jax</title>"  # of every written page
 HEADERS = ("Cache-Control", "no-store"), ("Referrer-Policy", "no-referrer")
 ALL_ADDRESSES = ("0.0.0.0", "::")  # hosts that stand for every address of this machine
 
@@ -75,7 +76,7 @@ def run_view(
 
 def write_page(path: Path, page: str) -> str:
     """Write the page, and describe it in a line."""
-    refuse_foreign_file(path, "gsc-jax</title>")  # the end of the title of every written page
+    refuse_foreign_file(path, TITLE_END)
     with atomic(path) as temporary:
         temporary.write_text(page, encoding="utf-8")
     return f"page     {path} ({len(page) / 2**20:.1f} MiB)"

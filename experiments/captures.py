@@ -47,7 +47,11 @@ MADE = ("room", "garden", "vase")
 """Made scenes: each capture of one is of another seed."""
 CAPTURES = {**dict.fromkeys(SCENES, 6), **dict.fromkeys(OBJECTS, 1), "room": 7, "garden": 7}
 CAPTURES["vase"] = 3
-"""Captures of each source, 41 in all."""
+"""Captures of each source with the first two strategies in turn, 41 in all."""
+BY_ERROR = {**dict.fromkeys(SCENES, 2), "room": 2, "garden": 2}
+"""Further captures of each source by the third strategy, growth by error."""
+FIRST_BY_ERROR = 10
+"""Seed of the first of them for each source."""
 VIEWS, HELDOUT_EVERY = 66, 11
 """Views of a capture; every eleventh is held out, so that 60 are trained on."""
 WIDTHS, BUDGETS = (200, 240, 320), (15_000, 25_000, 40_000)
@@ -69,7 +73,7 @@ class Args:
         bank: Folder of the captures, with a folder for each.
         share: Share of the captures of each source, at least one of them.
         sources: Sources to capture; all by default.
-        standard: Capture each source with both strategies and the same `STANDARD` options instead:
+        standard: Capture each source with the first two strategies and the same `STANDARD` options instead:
             40,000 Gaussians from 60 images of 320x240.
         data: The real scenes and objects; without them only made ones are captured.
         out: Folder of results.md and captures.csv.
@@ -110,14 +114,15 @@ class Recipe:
 
 
 def make_recipe(source: str, seed: int) -> Recipe:
-    """Draw a recipe; the strategies take turns with the seeds."""
+    """Draw a recipe; the first two strategies take turns with the seeds."""
     rng = np.random.default_rng([seed, zlib.crc32(source.encode())])
     budget = int(rng.choice(BUDGETS))
+    strategy = get_args(Strategy)[(seed + zlib.crc32(source.encode())) % 2]
     config = CaptureConfig(
         iterations=int(rng.integers(*STEPS)),
         budget=budget // 2 if source in (*OBJECTS, "vase") else budget,
         sh_degree=int(rng.integers(4)),
-        strategy=get_args(Strategy)[(seed + zlib.crc32(source.encode())) % 2],
+        strategy=strategy if seed < FIRST_BY_ERROR else "error",
         reset_opacities=bool(rng.integers(2)),
     )
     return Recipe(
@@ -152,6 +157,9 @@ def recipes(args: Args) -> Iterator[Recipe]:
         for source in args.sources or known:
             if seed < max(1, round(args.share * known[source])):
                 yield make_recipe(source, seed)
+    for source in args.sources or known:
+        for k in range(round(args.share * BY_ERROR.get(source, 0))):
+            yield make_recipe(source, FIRST_BY_ERROR + k)
 
 
 def photographed(recipe: Recipe, data: Path) -> tuple[Gaussians, list[Camera]]:

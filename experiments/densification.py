@@ -1,13 +1,17 @@
-"""Densification of a capture: adaptive density control, and relocation under a budget (MCMC).
+"""Densification of a capture: adaptive density control, relocation (MCMC), and growth by error.
 
 Adaptive density control (Kerbl et al. 2023, section 5) clones small Gaussians and splits large ones
 whose centre has a large gradient in the image, and prunes transparent ones. 3DGS-MCMC (Kheradmand
 et al. 2024) moves transparent Gaussians to opaque ones such that the image stays, adds 5 % at a
-time up to the budget, and disturbs the centres of transparent ones. The two leave different
-statistics. Rows that are not in use have an opacity of 0 (a logit of minus infinity).
+time up to the budget, and disturbs the centres of transparent ones. Growth by error (Rota Bulo et
+al. 2024) copies the Gaussians that take part in the wrong pixels, shares their opacity, and lowers
+all opacities a little instead of resetting them; it ends by pruning what takes least part in the
+views (LightGaussian, Fan et al. 2024). Each leaves its own statistics. Rows that are not in use
+have an opacity of 0 (a logit of minus infinity).
 
-It departs from the code of both papers in this: large Gaussians are not pruned, both strategies
-start with the same scene, and relocation and growth share one draw and end with densification.
+It departs from the code of these papers in this: large Gaussians are not pruned, all strategies
+start with the same scene, relocation and growth share one draw and end with densification, and the
+error of a pixel is that of the loss.
 """
 
 import jax
@@ -32,6 +36,10 @@ GROWTH = 0.05
 """Share of Gaussians that MCMC adds at a time, at least; shorter trainings add more."""
 MAX_COPIES = 51
 """Largest number of copies in eq. 9 of MCMC, as in its code."""
+DECAY = 0.001
+"""What growth by error takes from each opacity at a time, as in its paper."""
+UNIMPORTANT = 0.3
+"""Share of the Gaussians, those with the least sums of blending weights, that are pruned after it."""
 NOISE = 5e5
 """Size of the noise of MCMC in units of the learning rate of the centres, as in its code."""
 NOISY_OPACITY = 0.1
@@ -60,11 +68,42 @@ def adapt_density(
     new = free[: len(chosen)]
     copy_rows(scene, chosen, new)
     split = scales[chosen] > CLONED_SCALE * extent
-    both = np.concatenate([chosen[split], new[split]])
-    local = np.exp(scene.log_scales[both]) * rng.normal(size=(len(both), 3))
-    scene.means[both] += _rotated(scene.quats[both], local)
-    scene.log_scales[both] -= np.log(SHRINK)
+    _split(scene, both := np.concatenate([chosen[split], new[split]]), rng)
     return np.isin(np.arange(len(scene)), np.concatenate([new, both]))
+
+
+def _split(scene: Gaussians, rows: np.ndarray, rng: np.random.Generator) -> None:
+    """Move Gaussians within themselves and shrink them, in place."""
+    local = np.exp(scene.log_scales[rows]) * rng.normal(size=(len(rows), 3))
+    scene.means[rows] += _rotated(scene.quats[rows], local)
+    scene.log_scales[rows] -= np.log(SHRINK)
+
+
+def grow_by_error(
+    scene: Gaussians, error: np.ndarray, extent: float, rng: np.random.Generator, added: int
+) -> np.ndarray:
+    """Prune, then copy the Gaussians of the largest error (N,), in place; the changed rows, (N,).
+
+    Two copies with the opacity 1 - sqrt(1 - o) cover each other as one did. Large ones are split.
+    """
+    opacities, scales = expit(scene.logit_opacities), np.exp(scene.log_scales).max(axis=1)
+    opacities = np.where(opacities < MIN_OPACITY, 0, np.maximum(opacities - DECAY, MIN_OPACITY))
+    free = np.flatnonzero(opacities == 0)
+    chosen = np.argsort(-np.where(opacities > 0, error, -1), kind="stable")
+    chosen = chosen[: min(added, len(free), len(scene) - len(free))]
+    new, split = free[: len(chosen)], scales[chosen] > CLONED_SCALE * extent
+    opacities[chosen] = 1 - np.sqrt(1 - opacities[chosen])
+    scene.logit_opacities[:] = logit(np.minimum(opacities, 1 - 1e-6))
+    copy_rows(scene, chosen, new)
+    _split(scene, np.concatenate([chosen[split], new[split]]), rng)
+    return np.isin(np.arange(len(scene)), np.concatenate([chosen, new]))
+
+
+def prune_unimportant(scene: Gaussians, importance: np.ndarray) -> None:
+    """Give up the `UNIMPORTANT` share of the Gaussians in use with the least importance (N,)."""
+    used = np.flatnonzero(np.isfinite(scene.logit_opacities))
+    order = used[np.argsort(importance[used], kind="stable")]
+    scene.logit_opacities[order[: int(UNIMPORTANT * len(used))]] = -np.inf
 
 
 def relocate(scene: Gaussians, rng: np.random.Generator, added: int) -> np.ndarray:

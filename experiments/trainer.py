@@ -22,7 +22,7 @@ from gsc_jax.render.tiles import View, make_view
 from gsc_jax.scene import Array, Camera, Gaussians
 from gsc_jax.scene.errors import check_ranges
 from gsc_jax.scene.neighbours import nearest_neighbours
-from gsc_jax.splat import render_view
+from gsc_jax.splat import accumulate, render_view
 
 INTERVAL = 100
 """Steps between two densifications, as in the code of 3DGS."""
@@ -40,7 +40,10 @@ RANGES: dict[str, tuple[float, float]] = {
 }
 """Smallest and largest valid value of the numbers; integers where the number is one."""
 
-Strategy = Literal["adaptive", "mcmc"]
+SAMPLED = 8
+"""Views on which growth by error measures what each Gaussian takes part in."""
+
+Strategy = Literal["adaptive", "mcmc", "error"]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -51,8 +54,8 @@ class CaptureConfig:
         iterations: Number of steps, one view each.
         budget: Largest number of Gaussians.
         sh_degree: Degree of the harmonics, 0 to 3; one more every `iterations / 10` steps.
-        strategy: "adaptive" density control (Kerbl et al. 2023) or "mcmc" relocation (Kheradmand et
-            al. 2024).
+        strategy: "adaptive" density control (Kerbl et al. 2023), "mcmc" relocation (Kheradmand et
+            al. 2024) or growth by "error" (Rota Bulo et al. 2024).
         reset_opacities: Whether adaptive density control resets opacities twice.
         ssim_weight: Weight of 1 - SSIM in the loss.
 
@@ -77,6 +80,10 @@ class CaptureConfig:
 
 
 ADAM = optax.scale_by_adam(eps=1e-15)
+
+
+Photograph = tuple[Camera, np.ndarray]
+"""A camera and its image, RGB in [0, 1], shape (H, W, 3)."""
 
 
 class Training(NamedTuple):
@@ -118,11 +125,13 @@ def capture(
     require_images(cameras, images)
     _require_points(points)
     config, rng = config or CaptureConfig(), np.random.default_rng(seed)
+    cameras = [dataclasses.replace(camera, name="") for camera in cameras]  # compiled once for all
     extent, order = camera_extent(cameras), passes(len(cameras), rng)
+    photographs = list(zip(cameras, images, strict=True))
     weights = config.ssim_weight, REGULARISATION if config.strategy == "mcmc" else 0.0
     training = started(initial_scene(points, config, rng))
     for step, index in zip(range(config.iterations), order, strict=False):
-        camera = dataclasses.replace(cameras[index], name="")  # static: one compilation for all
+        camera = cameras[index]
         view = make_view(training.scene, camera)
         rates = learning_rates(step / config.iterations, extent, config)
         training = stepped(training, view, camera, images[index], rates, weights)
@@ -132,7 +141,7 @@ def capture(
             training = training._replace(scene=dataclasses.replace(scene, means=moved))
         done = (step + 1) / config.iterations
         if (step + 1) % INTERVAL == 0 and DENSIFIED[0] <= done <= DENSIFIED[1]:
-            training = _densified(training, done, extent, config, rng)
+            training = _densified(training, done, extent, config, rng, photographs)
         progress("capture", step + 1, config.iterations)
     host = jax.tree.map(np.asarray, training.scene)
     return host.take(np.flatnonzero(np.isfinite(host.logit_opacities)))
@@ -257,17 +266,38 @@ def _densified(
     extent: float,
     config: CaptureConfig,
     rng: np.random.Generator,
+    photographs: Sequence[Photograph],
 ) -> Training:
     """The state after a densification."""
     scene, lowered = jax.tree.map(np.array, training.scene), np.zeros(config.budget, bool)
     if config.strategy == "mcmc":
         changed = densification.relocate(scene, rng, _growth(scene, done, config))
+    elif config.strategy == "error":
+        some = rng.choice(len(photographs), min(SAMPLED, len(photographs)), replace=False)
+        error, importance = errors(training.scene, [photographs[k] for k in some])
+        added = _growth(scene, done, config)
+        changed = densification.grow_by_error(scene, error, extent, rng, added)
+        if done + INTERVAL / config.iterations > DENSIFIED[1]:
+            densification.prune_unimportant(scene, np.where(changed, np.inf, importance))
     else:
         changed = densification.adapt_density(scene, mean_gradient(training), extent, rng)
         since = done - INTERVAL / config.iterations
         if config.reset_opacities and any(since < reset <= done for reset in RESETS):
             lowered = densification.reset_opacities(scene)
     return restarted(training, scene, changed, lowered)
+
+
+def errors(
+    scene: Gaussians, photographs: Sequence[Photograph]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Largest error of a view that a Gaussian takes part in, and its mean weight, both (N,)."""
+    lifted = []
+    for camera, image in photographs:
+        view = make_view(scene, camera)
+        wrong = jnp.abs(render_view(view, scene, camera)[0] - image).mean(axis=2)
+        lifted.append(accumulate(view, jnp.stack([wrong, jnp.ones_like(wrong)], axis=2)))
+    sums = np.stack(lifted)
+    return sums[..., 0].max(axis=0), sums[..., 1].mean(axis=0)
 
 
 def mean_gradient(training: Training) -> np.ndarray:

@@ -116,9 +116,13 @@ def drawn_host(scene: Scene, seed: int, rng: np.random.Generator) -> Gaussians:
 def draw_donor(
     host: str, count: int, bank: Path, data: Path, rng: np.random.Generator
 ) -> tuple[str, Gaussians]:
-    """Draw an object of another source than the host, with at most `count` Gaussians."""
+    """Draw an object of another source than the host, with at most `count` Gaussians.
+
+    Captures by growth by error came later and are no donors, so that earlier cases stay the same.
+    """
     captured, scanned = captures(bank, (*OBJECTS, "vase")), [*OBJECTS] if data.is_dir() else []
     others = [name for name in hosts(bank, data) if source_of(name) != source_of(host)]
+    others = [name for name in others if not name.endswith("-error")]
     kind, seed = rng.integers(3), int(rng.integers(2**31))
     if kind == 0:
         source = load_host(name := str(rng.choice(others)), bank, data)

@@ -7,10 +7,13 @@ import numpy as np
 import pytest
 import trainer as module
 from densification import (
+    DECAY,
     MIN_OPACITY,
     RESET_OPACITY,
     adapt_density,
     disturbance,
+    grow_by_error,
+    prune_unimportant,
     relocate,
     reset_opacities,
     shared_opacity,
@@ -20,7 +23,7 @@ from scipy.special import expit
 from similarity import psnr, ssim
 from skimage.metrics import structural_similarity
 from strategies import random_scene
-from trainer import CaptureConfig, _forgotten, capture, initial_scene, learning_rates
+from trainer import CaptureConfig, _forgotten, capture, errors, initial_scene, learning_rates
 
 import gsc_jax
 from gsc_jax.benchmark.scenes import tampered_room
@@ -208,3 +211,38 @@ def test_a_reset_lowers_opacities():
     scene = dataclasses.replace(random_scene(3), logit_opacities=np.array([-9.0, 0, 3], np.float32))
     assert reset_opacities(scene).tolist() == [False, True, True]
     np.testing.assert_allclose(expit(scene.logit_opacities)[1:], RESET_OPACITY, rtol=1e-5)
+
+
+def test_what_takes_part_in_the_error_grows_and_its_copies_look_as_it_did():
+    scene, before = small_scene(), small_scene()
+    error = np.array([1.0, 2, 9, 9, 9, 9, 9])  # that of unused and transparent rows does not count
+    changed = grow_by_error(scene, error, 1.0, np.random.default_rng(0), added=1)
+    assert changed.tolist() == [False, True, True, False, False, False, False]
+    assert np.isfinite(scene.logit_opacities).tolist() == [True] * 3 + [False] * 4
+    decayed = expit(2.0) - DECAY
+    np.testing.assert_allclose(expit(scene.logit_opacities[0]), decayed, rtol=1e-5)
+    np.testing.assert_allclose((1 - expit(scene.logit_opacities[1:3])) ** 2, 1 - decayed, rtol=1e-4)
+    np.testing.assert_allclose(scene.log_scales[1:3], np.log(0.5 / 1.6), rtol=1e-6)
+    np.testing.assert_array_equal(scene.means[0], before.means[0])
+    grow_by_error(scene, error, 1.0, np.random.default_rng(0), added=100)
+    assert np.isfinite(scene.logit_opacities).sum() == 6  # each has one copy at a time
+
+
+def test_the_least_important_third_is_given_up():
+    scene = random_scene(40)
+    scene.logit_opacities[:] = 1
+    scene.logit_opacities[:20] = -np.inf
+    prune_unimportant(scene, np.arange(40.0))
+    assert np.isfinite(scene.logit_opacities).tolist() == [False] * 26 + [True] * 14
+
+
+def test_a_gaussian_of_the_wrong_colour_takes_part_in_the_largest_error():
+    scene, cameras = ROOM.gaussians, ROOM.cameras[:3]
+    _, importance = errors(scene, list(zip(cameras, IMAGES, strict=False)))
+    wrong = int(np.argmax(importance))
+    sh = np.array(scene.sh)
+    sh[wrong, 0] = -sh[wrong, 0] + 2
+    changed = dataclasses.replace(scene, sh=sh)
+    error, again = errors(changed, list(zip(cameras, IMAGES, strict=False)))
+    assert np.argmax(error) == wrong
+    np.testing.assert_allclose(again, importance, rtol=1e-5)

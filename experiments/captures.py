@@ -73,8 +73,8 @@ class Args:
         bank: Folder of the captures, with a folder for each.
         share: Share of the captures of each source, at least one of them.
         sources: Sources to capture; all by default.
-        standard: Capture each source with the first two strategies and the same `STANDARD` options instead:
-            40,000 Gaussians from 60 images of 320x240.
+        standard: Capture each source with the first two strategies and the same `STANDARD` options
+            instead: 40,000 Gaussians from 60 images of 320x240.
         data: The real scenes and objects; without them only made ones are captured.
         out: Folder of results.md and captures.csv.
     """

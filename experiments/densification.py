@@ -11,7 +11,7 @@ have an opacity of 0 (a logit of minus infinity).
 
 It departs from the code of these papers in this: large Gaussians are not pruned, all strategies
 start with the same scene, relocation and growth share one draw and end with densification, and the
-error of a pixel is that of the loss.
+error of a pixel is the absolute one, on some views.
 """
 
 import jax
@@ -39,7 +39,7 @@ MAX_COPIES = 51
 DECAY = 0.001
 """What growth by error takes from each opacity at a time, as in its paper."""
 UNIMPORTANT = 0.3
-"""Share of the Gaussians, those with the least sums of blending weights, that are pruned after it."""
+"""Share of the Gaussians, those with the least blending weights, that are pruned in the end."""
 NOISE = 5e5
 """Size of the noise of MCMC in units of the learning rate of the centres, as in its code."""
 NOISY_OPACITY = 0.1

@@ -287,9 +287,7 @@ def _densified(
     return restarted(training, scene, changed, lowered)
 
 
-def errors(
-    scene: Gaussians, photographs: Sequence[Photograph]
-) -> tuple[np.ndarray, np.ndarray]:
+def errors(scene: Gaussians, photographs: Sequence[Photograph]) -> tuple[np.ndarray, np.ndarray]:
     """Largest error of a view that a Gaussian takes part in, and its mean weight, both (N,)."""
     lifted = []
     for camera, image in photographs:

@@ -46,7 +46,7 @@ from gsc_jax.forensics.features import compute_features, with_finite_scales
 from gsc_jax.forensics.novelty import novelty
 from gsc_jax.forensics.places import find_places
 
-COUNTS = (1, 2, 4, 8, 16, 28)
+COUNTS = (1, 2, 4, 8, 16, 28, 36)
 """Numbers of hosts that networks are trained on, as far as there are hosts of other sources."""
 ORDERS = 2
 """Random orders of the hosts, from which the sets are the first ones."""

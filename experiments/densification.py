@@ -5,13 +5,14 @@ whose centre has a large gradient in the image, and prunes transparent ones. 3DG
 et al. 2024) moves transparent Gaussians to opaque ones such that the image stays, adds 5 % at a
 time up to the budget, and disturbs the centres of transparent ones. Growth by error (Rota Bulo et
 al. 2024) copies the Gaussians that take part in the wrong pixels, shares their opacity, and lowers
-all opacities a little instead of resetting them; it ends by pruning what takes least part in the
-views (LightGaussian, Fan et al. 2024). Each leaves its own statistics. Rows that are not in use
-have an opacity of 0 (a logit of minus infinity).
+all opacities a little instead of resetting them; it ends by pruning those with the least blending
+weights, as LightGaussian does (Fan et al. 2024). Each leaves its own statistics. Rows that are not
+in use have an opacity of 0 (a logit of minus infinity).
 
 It departs from the code of these papers in this: large Gaussians are not pruned, all strategies
-start with the same scene, relocation and growth share one draw and end with densification, and the
-error of a pixel is the absolute one, on some views.
+start with the same scene, and MCMC relocates and adds by one draw, until densification ends.
+Growth by error measures errors and weights on a few random views, grows by a number instead of a
+threshold, takes the absolute error of a pixel, and shares the opacity of what it splits, too.
 """
 
 import jax
@@ -25,7 +26,7 @@ from gsc_jax.scene.gaussians import IDENTITY_QUATERNION
 RESET_OPACITY = 0.01
 """Largest opacity after a reset, as in the code of 3DGS."""
 MIN_OPACITY = 0.005
-"""Opacity below which a Gaussian counts as transparent, as in the code of both papers."""
+"""Opacity below which a Gaussian counts as transparent, as in the code of 3DGS and of MCMC."""
 MIN_GRADIENT = 2e-4
 """Mean length of the gradient by the centre, in normalised device coordinates, to densify."""
 CLONED_SCALE = 0.01
@@ -33,7 +34,7 @@ CLONED_SCALE = 0.01
 SHRINK = 1.6
 """Divisor of the scales in a split (3DGS, section 5.2)."""
 GROWTH = 0.05
-"""Share of Gaussians that MCMC adds at a time, at least; shorter trainings add more."""
+"""Share of Gaussians that MCMC and growth by error add at a time; shorter trainings add more."""
 MAX_COPIES = 51
 """Largest number of copies in eq. 9 of MCMC, as in its code."""
 DECAY = 0.001
@@ -68,7 +69,8 @@ def adapt_density(
     new = free[: len(chosen)]
     copy_rows(scene, chosen, new)
     split = scales[chosen] > CLONED_SCALE * extent
-    _split(scene, both := np.concatenate([chosen[split], new[split]]), rng)
+    both = np.concatenate([chosen[split], new[split]])
+    _split(scene, both, rng)
     return np.isin(np.arange(len(scene)), np.concatenate([new, both]))
 
 
@@ -82,9 +84,10 @@ def _split(scene: Gaussians, rows: np.ndarray, rng: np.random.Generator) -> None
 def grow_by_error(
     scene: Gaussians, error: np.ndarray, extent: float, rng: np.random.Generator, added: int
 ) -> np.ndarray:
-    """Prune, then copy the Gaussians of the largest error (N,), in place; the changed rows, (N,).
+    """Prune, then copy `added` Gaussians of the largest error (N,), in place.
 
-    Two copies with the opacity 1 - sqrt(1 - o) cover each other as one did. Large ones are split.
+    Two copies with the opacity 1 - sqrt(1 - o) cover together what one did, before large ones are
+    split; nearly transparent ones may be pruned next time. Returns the copied rows, (N,) bool.
     """
     opacities, scales = expit(scene.logit_opacities), np.exp(scene.log_scales).max(axis=1)
     opacities = np.where(opacities < MIN_OPACITY, 0, np.maximum(opacities - DECAY, MIN_OPACITY))

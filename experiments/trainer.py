@@ -277,7 +277,7 @@ def _densified(
         error, importance = errors(training.scene, [photographs[k] for k in some])
         added = _growth(scene, done, config)
         changed = densification.grow_by_error(scene, error, extent, rng, added)
-        if done + INTERVAL / config.iterations > DENSIFIED[1]:
+        if done + INTERVAL / config.iterations > DENSIFIED[1] + 1e-6:  # the last time
             densification.prune_unimportant(scene, np.where(changed, np.inf, importance))
     else:
         changed = densification.adapt_density(scene, mean_gradient(training), extent, rng)
@@ -288,7 +288,10 @@ def _densified(
 
 
 def errors(scene: Gaussians, photographs: Sequence[Photograph]) -> tuple[np.ndarray, np.ndarray]:
-    """Largest error of a view that a Gaussian takes part in, and its mean weight, both (N,)."""
+    """Sums over the pixels by the weights of each Gaussian, both (N,).
+
+    Of absolute errors, the largest of the views, and of the weights alone, the mean of the views.
+    """
     lifted = []
     for camera, image in photographs:
         view = make_view(scene, camera)
@@ -318,7 +321,7 @@ def restarted(
 
 
 def _growth(scene: Gaussians, done: float, config: CaptureConfig) -> int:
-    """Number of Gaussians that MCMC adds: 5 %, or more where that would not reach the budget."""
+    """Number of Gaussians that are added: 5 %, or more where that would not reach the budget."""
     used = int(np.isfinite(scene.logit_opacities).sum())
     left = int((DENSIFIED[1] - done) * config.iterations / INTERVAL + 1e-6) + 1
     wanted = round(used * (config.budget / used) ** (1 / left))

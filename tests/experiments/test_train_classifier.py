@@ -1,5 +1,7 @@
 """Training of the classifier: what is held out, calibration, and the stored file."""
 
+from types import SimpleNamespace
+
 import bank
 import chex
 import classifier_examples
@@ -111,6 +113,20 @@ def test_trained_network_separates_and_survives_a_file(cases, tmp_path):
 def small_rooms(monkeypatch):
     """Rooms of 4,000 Gaussians as the only host, without a bank or real scenes."""
     monkeypatch.setitem(bank.MADE_HOSTS, "room", lambda seed: make_room(seed=seed, count=4_000))
+
+
+def test_captures_by_growth_by_error_are_no_donors(monkeypatch, tmp_path):
+    names = ["room", "room-0-mcmc", "garden-0-mcmc", "garden-10-error"]
+    monkeypatch.setattr(bank, "hosts", lambda *_: names)
+    monkeypatch.setattr(
+        bank, "load_host", lambda name, *_: SimpleNamespace(gaussians=name, cameras=[])
+    )
+    for made in ("cut_object", "make_object"):
+        monkeypatch.setattr(bank, made, lambda *_, **__: room())
+    place = tmp_path, tmp_path / "absent"
+    rngs = [np.random.default_rng(k) for k in range(40)]
+    drawn = {bank.draw_donor("room", 9, *place, rng)[0] for rng in rngs}
+    assert drawn == {"garden-0-mcmc", "vase"}
 
 
 def test_cases_of_a_seed_are_the_same_and_have_their_sources(small_rooms, tmp_path):

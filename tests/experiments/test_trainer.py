@@ -10,6 +10,7 @@ from densification import (
     DECAY,
     MIN_OPACITY,
     RESET_OPACITY,
+    UNIMPORTANT,
     adapt_density,
     disturbance,
     grow_by_error,
@@ -51,7 +52,8 @@ def test_training_improves_a_view_that_it_never_saw(monkeypatch, strategy):
         for progress in (lambda *done: steps.append(done), lambda *_: None)
     )
     assert steps[-1] == ("capture", 120, 120)
-    assert {"adaptive": 400, "mcmc": 799, "error": 500}[strategy] < len(scene) <= 800
+    least, most = {"adaptive": (401, 800), "mcmc": (800, 800), "error": (550, 560)}[strategy]
+    assert least <= len(scene) <= most  # growth by error ends by pruning 30 % of 800
     assert scene.sh.shape[1:] == (4, 3)
     assert np.isfinite(scene.means).all()
     np.testing.assert_array_equal(scene.means, again.means)
@@ -228,12 +230,34 @@ def test_what_takes_part_in_the_error_grows_and_its_copies_look_as_it_did():
     assert np.isfinite(scene.logit_opacities).sum() == 6  # each has one copy at a time
 
 
-def test_the_least_important_third_is_given_up():
+def test_the_least_important_are_given_up():
     scene = random_scene(40)
     scene.logit_opacities[:] = 1
     scene.logit_opacities[:20] = -np.inf
     prune_unimportant(scene, np.arange(40.0))
-    assert np.isfinite(scene.logit_opacities).tolist() == [False] * 26 + [True] * 14
+    pruned = int(20 * UNIMPORTANT)
+    assert np.isfinite(scene.logit_opacities).tolist() == [False] * (20 + pruned) + [True] * (
+        20 - pruned
+    )
+
+
+@pytest.mark.parametrize("iterations", [1000, 1115, 2000, 2500, 2999])
+def test_growth_by_error_prunes_once_when_it_ends(monkeypatch, iterations):
+    pruned = []
+    monkeypatch.setattr(module, "errors", lambda scene, _: 2 * (np.zeros(len(scene)),))
+    monkeypatch.setattr(module.densification, "prune_unimportant", lambda *_: pruned.append(step))
+    config = CaptureConfig(iterations=iterations, budget=8, strategy="error")
+    rng, training = np.random.default_rng(0), module.started(random_scene(8))
+    for step in range(100, iterations + 1, 100):
+        if 0.1 <= step / iterations <= 0.6:
+            module._densified(training, step / iterations, 1.0, config, rng, [])
+    assert pruned == [int(0.6 * iterations) // 100 * 100]
+
+
+def test_a_full_budget_does_not_grow():
+    scene = random_scene(6)
+    scene.logit_opacities[:] = 2
+    assert not grow_by_error(scene, np.ones(6), 1.0, np.random.default_rng(0), added=9).any()
 
 
 def test_a_gaussian_of_the_wrong_colour_takes_part_in_the_largest_error():
@@ -246,3 +270,6 @@ def test_a_gaussian_of_the_wrong_colour_takes_part_in_the_largest_error():
     error, again = errors(changed, list(zip(cameras, IMAGES, strict=False)))
     assert np.argmax(error) == wrong
     np.testing.assert_allclose(again, importance, rtol=1e-5)
+    alone = [errors(changed, [(c, i)]) for c, i in zip(cameras, IMAGES, strict=False)]
+    np.testing.assert_allclose(error, np.max([one for one, _ in alone], axis=0), rtol=1e-5)
+    np.testing.assert_allclose(again, np.mean([one for _, one in alone], axis=0), rtol=1e-5)

@@ -118,7 +118,8 @@ def draw_donor(
 ) -> tuple[str, Gaussians]:
     """Draw an object of another source than the host, with at most `count` Gaussians.
 
-    Captures by growth by error came later and are no donors, so that earlier cases stay the same.
+    Captures that are trained by growth by error were added later. They are never donors, so that
+    the earlier cases stay as they were.
     """
     captured, scanned = captures(bank, (*OBJECTS, "vase")), [*OBJECTS] if data.is_dir() else []
     others = [name for name in hosts(bank, data) if source_of(name) != source_of(host)]

@@ -49,7 +49,7 @@ CAPTURES["vase"] = 3
 """Captures of each source with the strategies `IN_TURN`, 41 in all."""
 IN_TURN: tuple[Strategy, ...] = ("adaptive", "mcmc")
 BY_ERROR = {**dict.fromkeys(SCENES, 2), "room": 2, "garden": 2}
-"""Further captures of each source, trained by growth by error."""
+"""Number of further captures of each source that are trained by growth by error."""
 FIRST_BY_ERROR = 10
 """Seed of the first of them for each source."""
 VIEWS, HELDOUT_EVERY = 66, 11
@@ -115,7 +115,11 @@ class Recipe:
 
 
 def make_recipe(source: str, seed: int) -> Recipe:
-    """Draw a recipe; strategies take turns, and from `FIRST_BY_ERROR` on it is growth by error."""
+    """Draw a recipe.
+
+    The strategies `IN_TURN` alternate with the seeds below `FIRST_BY_ERROR`. With seeds from there
+    on, captures are trained by growth by error.
+    """
     rng = np.random.default_rng([seed, zlib.crc32(source.encode())])
     budget = int(rng.choice(BUDGETS))
     strategy = IN_TURN[(seed + zlib.crc32(source.encode())) % 2]

@@ -11,8 +11,9 @@ in use have an opacity of 0 (a logit of minus infinity).
 
 It departs from the code of these papers in this: large Gaussians are not pruned, all strategies
 start with the same scene, and MCMC relocates and adds by one draw, until densification ends.
-Growth by error measures errors and weights on a few random views, grows by a number instead of a
-threshold, takes the absolute error of a pixel, and shares the opacity of what it splits, too.
+Growth by error measures errors and blending weights on a few random views, copies a given number
+of Gaussians instead of all above a threshold, takes the absolute error of a pixel, and shares the
+opacity of Gaussians that it splits, too.
 """
 
 import jax
@@ -40,7 +41,8 @@ MAX_COPIES = 51
 DECAY = 0.001
 """What growth by error takes from each opacity at a time, as in its paper."""
 UNIMPORTANT = 0.3
-"""Share of the Gaussians, those with the least blending weights, that are pruned in the end."""
+"""Share of the Gaussians that growth by error prunes when densification ends: those with the least
+sums of blending weights."""
 NOISE = 5e5
 """Size of the noise of MCMC in units of the learning rate of the centres, as in its code."""
 NOISY_OPACITY = 0.1

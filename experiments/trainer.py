@@ -41,7 +41,7 @@ RANGES: dict[str, tuple[float, float]] = {
 """Smallest and largest valid value of the numbers; integers where the number is one."""
 
 SAMPLED = 8
-"""Views on which growth by error measures what each Gaussian takes part in."""
+"""Number of random views on which growth by error measures errors and blending weights."""
 
 Strategy = Literal["adaptive", "mcmc", "error"]
 
@@ -321,7 +321,7 @@ def restarted(
 
 
 def _growth(scene: Gaussians, done: float, config: CaptureConfig) -> int:
-    """Number of Gaussians that are added: 5 %, or more where that would not reach the budget."""
+    """Number of Gaussians to add at a time: 5 %, or more where that would not reach the budget."""
     used = int(np.isfinite(scene.logit_opacities).sum())
     left = int((DENSIFIED[1] - done) * config.iterations / INTERVAL + 1e-6) + 1
     wanted = round(used * (config.budget / used) ** (1 / left))

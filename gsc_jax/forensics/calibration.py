@@ -22,7 +22,8 @@ experiments/bank.py by classifiers that never saw their hosts."""
 MIN_TRACED_SHARE = 0.1
 """Share of the Gaussians above the level that traces must mark to count as identifying the edit."""
 LEVEL_BESIDE_TRACES = 2.0
-"""Log odds from which Gaussians without a trace are labelled beside traces, chosen like `LEVEL`."""
+"""Log odds from which Gaussians without a trace are labelled in a file in which traces of editing
+were found, chosen like `LEVEL`."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

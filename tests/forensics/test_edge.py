@@ -93,7 +93,7 @@ def test_log_odds_are_bounded_and_move_with_their_factor_and_shift(edited, seed,
 
 
 def test_memory_does_not_grow_with_the_number_of_columns(edited, monkeypatch):
-    """All columns of the Gaussians around took 260 bytes per Gaussian at half of the scene."""
+    """It took 260 bytes per Gaussian when the features around the edge were copied all at once."""
     monkeypatch.setattr("gsc_jax.forensics.edge.SAMPLE", 2**8)
     before = blurred(2.0)
     tracemalloc.start()

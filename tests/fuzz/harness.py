@@ -28,6 +28,8 @@ MAX_SECONDS, KILL_SECONDS = 5, 60
 until a process that does not react is killed."""
 MAX_BYTES = 2**30
 """Memory above that of the process after it has read the undamaged inputs."""
+READER_BYTES = MAX_BYTES // 2
+"""Memory that the readers may allocate."""
 MAX_MESSAGE = 2000
 """Characters of a message: several paths of up to 255 characters fit."""
 MAX_FINDINGS = 50

@@ -1,0 +1,37 @@
+"""Sampled Gaussians, and their distances from the patterns of classes, by what views show."""
+
+import numpy as np
+import pytest
+
+from gsc_jax.estimators.robust.class_roles import assign_roles
+from gsc_jax.estimators.robust.estimator import pattern_distance
+from gsc_jax.estimators.robust.gaussian_visibility import stratified_sample, visibility
+from gsc_jax.evidence.lifting import Evidence
+
+
+def test_a_sample_is_half_flagged_and_represents_all_visible_gaussians():
+    seen, flagged = np.ones(1000), np.where(np.arange(1000) < 50, 1.0, 0.0)
+    rows, represents = stratified_sample(seen, flagged, 100)
+    assert len(rows) == 100
+    assert 45 <= (rows < 50).sum() <= 60
+    assert represents[rows < 50].max() < represents[rows >= 50].min()
+    share = represents[rows < 50].sum() / represents.sum()
+    assert share == pytest.approx(0.05, abs=0.01)
+    unseen = np.where(np.arange(1000) < 900, 0.0, 1.0)
+    rows, _ = stratified_sample(unseen, 0 * unseen, 200)
+    assert sorted(rows) == list(range(900, 1000))
+    faint, _ = stratified_sample(1e-9 * seen, 1e-9 * flagged, 100)
+    assert 45 <= (faint < 50).sum() <= 60
+
+
+def test_pattern_distance_counts_views_that_contradict_a_pattern():
+    total = np.array([[8.0, 8.0], [8.0, 0.0]], np.float32)
+    evidence = Evidence(total=total, tampered=np.array([[8.0, 2.0], [0.0, 0.0]], np.float32))
+    looked, flagged = visibility(evidence, slice(None), 8.0)
+    assert looked.tolist() == [[0.5, 0.5], [0.5, 0.0]]
+    assert flagged.tolist() == [[0.5, 0.125], [0.0, 0.0]]
+    roles = assign_roles(np.array([[0.1, 0.1], [0.9, 0.9]]), np.array([[9.0, 9.0], [1.0, 1.0]]))
+    assert roles is not None
+    # Authentic: what was flagged; tampered: what was not.
+    expected = [[0.5, 0.5], [0.125, 0.375]]
+    assert pattern_distance(evidence, roles, 8.0).tolist() == expected

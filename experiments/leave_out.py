@@ -18,7 +18,6 @@ import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
-import numpy as np
 from bank import (
     BANK,
     FIRST_SEED,
@@ -32,21 +31,13 @@ from bank import (
 from classifier_examples import Examples, make_examples, stored_case
 from native import NativeArgs
 from runner import measured, start
+from single_network import scorer
 from tables import Frame, Row, markdown, where, write_section
 from tqdm import tqdm
 from train_classifier import train_network
 
-from gsc_jax.benchmark.metrics import auc
 from gsc_jax.benchmark.tamper import EDITS, Edit
-from gsc_jax.forensics.classifier import (
-    Layers,
-    default_classifier,
-    smoothed_log_odds,
-    with_places,
-)
-from gsc_jax.forensics.features import compute_features, with_finite_scales
-from gsc_jax.forensics.novelty import novelty
-from gsc_jax.forensics.places import find_places
+from gsc_jax.forensics.classifier import Layers
 
 SCORED = FIRST_SEED + 1
 """Seed of the cases that are scored: whole hosts, also edited by programs."""
@@ -128,20 +119,14 @@ class Trained:
 
 def rows_of(host: str, case: BankCase, trained: Trained) -> Iterator[Row]:
     """AUC of one case with each choice of what is left out; none where hardly any case is left."""
-    features = compute_features(with_finite_scales(case.gaussians))
-    classifier = default_classifier()
-    places = find_places(features, np.asarray(case.gaussians.means, np.float32))
-    novel = classifier.novelty * novelty(places)
+    score = scorer(case)
     key = {"host": host, "edit": case.edit, "family": case.family, "export": case.exporter}
     for name, left_out in LEFT_OUT.items():
         learned = learned_of(trained.cases, host, case, left_out)
         if len(learned) >= LEAST:
-            one = dataclasses.replace(classifier, networks=(trained.network(learned),))
-            raw = with_places(smoothed_log_odds(features, one), places, novel)
-            score = auc(raw, case.labels)
-            yield key | {"left_out": name, "cases": len(learned), "auc": score}
-    score = auc(with_places(np.zeros(len(case.labels)), places, novel), case.labels)
-    yield key | {"left_out": "no network", "cases": 0, "auc": score}
+            found = {"cases": len(learned), "auc": score(trained.network(learned))}
+            yield key | {"left_out": name} | found
+    yield key | {"left_out": "no network", "cases": 0, "auc": score(None)}
 
 
 def report(rows: Frame) -> str:

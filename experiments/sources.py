@@ -30,21 +30,13 @@ from bank import (
 )
 from classifier_examples import Examples, draw_case, make_examples
 from runner import Args, measured, start
+from single_network import scorer
 from tables import Frame, Row, markdown, pivot, where, write_section
 from tqdm import tqdm
 from train_classifier import train_network
 
-from gsc_jax.benchmark.metrics import auc
 from gsc_jax.benchmark.tamper import EDITS, Edit
-from gsc_jax.forensics.classifier import (
-    Layers,
-    default_classifier,
-    smoothed_log_odds,
-    with_places,
-)
-from gsc_jax.forensics.features import compute_features, with_finite_scales
-from gsc_jax.forensics.novelty import novelty
-from gsc_jax.forensics.places import find_places
+from gsc_jax.forensics.classifier import Layers
 
 COUNTS = (1, 2, 4, 8, 16, 28, 36)
 """Numbers of hosts that networks are trained on, as far as there are hosts of other sources."""
@@ -105,18 +97,12 @@ def rows_of(
     # Networks are compared on the same cases, so no object may come from what some of them saw.
     if case is None or case.sources & networks.keys() != {source}:
         return
-    features = compute_features(with_finite_scales(case.gaussians))
-    classifier = default_classifier()
-    places = find_places(features, np.asarray(case.gaussians.means, np.float32))
-    novel = classifier.novelty * novelty(places)
+    score = scorer(case)
     key = {"source": source, "host": host, "method": edit, "seed": seed}
-    score = auc(with_places(np.zeros(len(case.labels)), places, novel), case.labels)
-    yield key | {"hosts": 0, "names": "", "auc": score}
+    yield key | {"hosts": 0, "names": "", "auc": score(None)}
     for names, layers in networks[source].items():
-        one = dataclasses.replace(classifier, networks=(layers,))
-        raw = with_places(smoothed_log_odds(features, one), places, novel)
-        score = auc(raw, case.labels)
-        yield key | {"hosts": len(names), "names": " ".join(sorted(names)), "auc": score}
+        known = {"hosts": len(names), "names": " ".join(sorted(names))}
+        yield key | known | {"auc": score(layers)}
 
 
 def report(rows: Frame) -> str:

@@ -5,6 +5,7 @@ stderr, also while JAX is imported, which takes seconds. Cleaning up may take `G
 the process ends without it and leaves temporary files, which a later run removes.
 """
 
+import gc
 import os
 import signal
 import socket
@@ -26,6 +27,7 @@ def main() -> int:
     stop.imported = True
     try:
         code = run()
+        gc.freeze()  # else the interpreter searches all objects of JAX for garbage as it ends
         if stop.number == signal.SIGTERM:  # `view` ends normally when it is interrupted
             _leave(stop.number)
         return code

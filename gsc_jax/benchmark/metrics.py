@@ -10,11 +10,11 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import scipy  # whose submodules load when they are first used
 
 from gsc_jax.evidence.masks import rendered_share
 from gsc_jax.render.projection import NEAR
 from gsc_jax.scene import Array, Camera, Gaussians
+from gsc_jax.scene.statistics import superiority
 
 EPSILON = 1e-8
 
@@ -99,10 +99,7 @@ def auc(scores: Array, truth: Array) -> float:
         raise ValueError(f"{scores.size} scores, but {tampered.size} truths")
     if np.isnan(scores).any():
         raise ValueError(f"{np.isnan(scores).sum()} of {scores.size} scores are NaN, expected none")
-    count = int(tampered.sum())
-    pairs = count * (tampered.size - count)
-    wins = scipy.stats.rankdata(scores)[tampered].sum() - count * (count + 1) / 2
-    return float(wins / pairs) if pairs else float("nan")
+    return superiority(scores, tampered)
 
 
 def truth_mask(

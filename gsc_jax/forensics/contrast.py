@@ -1,13 +1,13 @@
 """How labelled Gaussians differ from those around them, in properties that a person can see."""
 
+import jax
 import numpy as np
-import scipy  # whose submodules load when they are first used
 
 from gsc_jax.forensics.features import with_finite_scales
 from gsc_jax.render.spherical_harmonics import Y0
 from gsc_jax.scene import Array, Gaussians
 from gsc_jax.scene.gaussians import usable_rows
-from gsc_jax.scene.statistics import median_and_mad
+from gsc_jax.scene.statistics import median_and_mad, superiority
 
 MIN_COUNT, MAX_COUNT = 64, 100_000
 """Limits of labelled Gaussians, and of others: 64 alike ones seldom differ (0.1 %, by hand)."""
@@ -29,8 +29,8 @@ def contrasts(gaussians: Gaussians, labels: Array) -> dict[str, float]:
     Returns:
         Numbers in [0, 1] by property; empty with fewer than `MIN_COUNT` Gaussians of a kind.
     """
-    usable = usable_rows(gaussians)
-    labels, means = np.asarray(labels, bool) & usable, np.asarray(gaussians.means)
+    host, usable = jax.tree.map(np.asarray, gaussians), usable_rows(gaussians)
+    labels, means = np.asarray(labels, bool) & usable, host.means
     if labels.sum() < MIN_COUNT:
         return {}
     median, mad = median_and_mad(means[labels])
@@ -38,11 +38,8 @@ def contrasts(gaussians: Gaussians, labels: Array) -> dict[str, float]:
     if around.sum() < MIN_COUNT:
         return {}
     rows = np.concatenate([_some(labels), _some(around)])
-    inside, shares = labels[rows], {}
-    for name, values in _properties(with_finite_scales(gaussians.take(rows))).items():
-        ranks = scipy.stats.rankdata(values)
-        shares[name] = float(0.5 + (ranks[inside].mean() - ranks[~inside].mean()) / len(rows))
-    return shares
+    properties = _properties(with_finite_scales(host.take(rows)))
+    return {name: superiority(values, labels[rows]) for name, values in properties.items()}
 
 
 def _some(chosen: np.ndarray) -> np.ndarray:

@@ -13,13 +13,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from gsc_jax.forensics.traces import (
-    MIN_REGION,
-    Trace,
-    is_untrained,
-    make_trace,
-    region_scores,
-)
+from gsc_jax.forensics.traces import MIN_REGION, Trace, is_untrained, make_trace, region_scores
 from gsc_jax.scene import Gaussians
 from gsc_jax.scene.neighbours import order_of_leaves
 from gsc_jax.scene.parallel import in_blocks, usable_cores

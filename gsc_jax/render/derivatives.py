@@ -58,8 +58,7 @@ def _moments(view: View, values: tuple[jax.Array, jax.Array, jax.Array]) -> jax.
             slopes = jnp.stack(slopes, axis=1)
             moments = jnp.einsum("tcp,mp->tcm", slopes, monomials, precision="highest")
             moments = _about(moments, splats[ids, :2] - origin[:, None])
-            both = jnp.concatenate([moments, lift(weights, g)], axis=2)
-            return sums.at[ids].add(both), rest
+            return sums.at[ids].add(jnp.concatenate([moments, lift(weights, g)], axis=2)), rest
 
         return walk(view, group, visit, (sums, rests[group[0]]))[0], None
 

@@ -5,6 +5,7 @@ stderr, also while JAX is imported, which takes seconds. Cleaning up may take `G
 the process ends without it and leaves temporary files, which a later run removes.
 """
 
+import atexit
 import gc
 import os
 import signal
@@ -22,12 +23,12 @@ GRACE_SECONDS = 5.0
 def main() -> int:
     """Run the command line of this process and return its exit code, except after a signal."""
     stop = _Stop()
+    atexit.register(gc.freeze)  # else the interpreter searches all of JAX for garbage as it ends
     from gsc_jax.cli.main import main as run
 
     stop.imported = True
     try:
         code = run()
-        gc.freeze()  # else the interpreter searches all objects of JAX for garbage as it ends
         if stop.number == signal.SIGTERM:  # `view` ends normally when it is interrupted
             _leave(stop.number)
         return code

@@ -10,7 +10,7 @@ from pathlib import Path
 import jax
 import platformdirs
 
-MIN_SECONDS = 0.005
+MIN_SECONDS = 0.1
 """Shortest compilation that is stored: reading a file takes a few milliseconds."""
 
 

@@ -3,9 +3,9 @@
 import contextlib
 import dataclasses
 import hashlib
-import sys
 import tempfile
 import uuid
+from importlib.metadata import distributions
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -121,8 +121,7 @@ def _identity(inputs: Inputs) -> str:
     views = [(camera.name, camera.width, camera.height) for camera in inputs.cameras]
     # Without a fingerprint, nothing is known about the outputs of another run.
     detector = getattr(inputs.detector, "fingerprint", uuid.uuid4().hex)
-    # The names of the folders have the versions, which are slow to read from the files in them.
-    installed = {package.name for path in sys.path for package in Path(path).glob("*.*-info")}
+    installed = {(package.name, package.version) for package in distributions()}
     facts = views, detector, inputs.estimator.near, sorted(installed), sorted(versions().items())
     digest.update(repr(facts).encode())
     return digest.hexdigest()

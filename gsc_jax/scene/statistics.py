@@ -25,6 +25,6 @@ def superiority(values: np.ndarray, chosen: np.ndarray) -> float:
 
     Mann and Whitney's U by pair; NaN without a pair. `scipy.stats` takes a second to import.
     """
-    others, own = np.sort(values[~chosen]), values[chosen]
+    others, own = np.sort(values[~chosen]), np.sort(values[chosen])
     below = [np.searchsorted(others, own, side) for side in ("left", "right")]
     return float(np.mean(below) / len(others)) if len(own) and len(others) else float("nan")

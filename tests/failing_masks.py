@@ -1,4 +1,7 @@
-"""Evidence of masks with the failures of a 2D detector, of a world with an edit and a decoy."""
+"""Made evidence of a scene with an edit, from masks with the failures of a 2D detector.
+
+The decoy is an authentic region that masks may flag, too.
+"""
 
 import numpy as np
 

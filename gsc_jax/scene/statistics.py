@@ -23,7 +23,7 @@ def principal_axes(centred: np.ndarray, count: int) -> np.ndarray:
 def superiority(values: np.ndarray, chosen: np.ndarray) -> float:
     """Probability that a chosen value exceeds one of the others, ties counted half, shapes (N,).
 
-    Mann and Whitney's U by pair; NaN without a pair. `scipy.stats` takes a second to import.
+    Mann and Whitney's U by pair of numbers; NaN without a pair. `scipy.stats` imports slowly.
     """
     others, own = np.sort(values[~chosen]), np.sort(values[chosen])
     below = [np.searchsorted(others, own, side) for side in ("left", "right")]

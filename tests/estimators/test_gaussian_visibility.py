@@ -32,6 +32,6 @@ def test_pattern_distance_counts_views_that_contradict_a_pattern():
     assert flagged.tolist() == [[0.5, 0.125], [0.0, 0.0]]
     roles = assign_roles(np.array([[0.1, 0.1], [0.9, 0.9]]), np.array([[9.0, 9.0], [1.0, 1.0]]))
     assert roles is not None
-    # Authentic: what was flagged; tampered: what was not.
+    # From the authentic class it is what was flagged, from the tampered class what was not.
     expected = [[0.5, 0.5], [0.125, 0.375]]
     assert pattern_distance(evidence, roles, 8.0).tolist() == expected

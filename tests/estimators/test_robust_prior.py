@@ -1,4 +1,4 @@
-"""`robust` with masks and the evidence from the attributes: which of them decides, and where."""
+"""`robust` with masks and a prior from the attributes of Gaussians: which of both decides."""
 
 import dataclasses
 
@@ -53,7 +53,10 @@ def true_prior(verdict: float, *, exact: bool = False) -> Prior:
     ],
 )
 def test_the_prior_decides_where_masks_are_unreliable(views, verdict, exact, decoy):
-    """A region flagged in few views is a decoy; one flagged in nearly all views is an edit."""
+    """Masks flag an authentic region, and the prior is right.
+
+    It decides if the masks flag the region in few views, or if it is exact and more certain.
+    """
     found = estimate(decoy_in(views), prior=true_prior(verdict, exact=exact))
     seen, expected = TOTAL.sum(axis=0) > 0, KINDS == DECOY if decoy else TRUE
     assert np.array_equal(found.labels[seen], expected[seen])
@@ -133,7 +136,10 @@ def test_a_prior_that_contradicts_masks_takes_no_labels():
 
 
 def rivals(edit: int, decoy: int) -> tuple[Evidence, Prior]:
-    """Masks that flag an edit and an authentic region in `edit` and `decoy` views; a true prior."""
+    """Masks and a prior that is right.
+
+    The masks flag the edit in `edit` of the views, and an authentic region in `decoy` of them.
+    """
     flagged = np.zeros((VIEWS, COUNT), bool)
     flagged[:edit, TRUE] = True
     flagged[VIEWS - decoy :, KINDS == DECOY] = True

@@ -1,4 +1,4 @@
-"""Damaged camera files, and what valid cameras are."""
+"""Camera files with damage, and the checks of cameras that can be read all the same."""
 
 import shutil
 import struct
@@ -57,9 +57,12 @@ def _colmap_text() -> dict[str, bytes]:
 
 
 def check_cameras(path: Path) -> None:
-    """Read cameras; their names must name files, and what is written must be the same cameras."""
+    """Read cameras, and require that writing and reading them again changes nothing.
+
+    Their names must be possible names of mask files.
+    """
     cameras = load_cameras(path, max_bytes=READER_BYTES)
-    check_numbers(cameras)
+    check_camera_numbers(cameras)
     with naming(path):
         check_names(cameras)
     for camera in cameras:
@@ -75,7 +78,7 @@ def check_cameras(path: Path) -> None:
         np.testing.assert_allclose(one.K, other.K, rtol=1e-6)
 
 
-def check_numbers(cameras: list[Camera]) -> None:
+def check_camera_numbers(cameras: list[Camera]) -> None:
     assert len({camera.name for camera in cameras}) == len(cameras) > 0
     for camera in cameras:
         viewmat, K = np.asarray(camera.viewmat), np.asarray(camera.K)

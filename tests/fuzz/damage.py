@@ -1,9 +1,8 @@
-"""Damage to files by their kind: headers, text, JSON and arrays."""
+"""Damage to headers, text, JSON and arrays, made of the changes to any bytes of `mutate`."""
 
 import json
 import re
 from collections.abc import Callable
-from pathlib import Path
 from random import Random
 
 from fuzz.mutate import damaged_bytes, damaged_text, damaged_tree, json_text
@@ -13,7 +12,7 @@ Damage = Callable[[Random, bytes], bytes]
 
 
 def damaged_header(rng: Random, data: bytes, end: bytes = b"end_header\n") -> bytes:
-    """Damage the words of a header, the bytes after the header, or both."""
+    """Damage the words in the header of a file, the bytes after the header, or both."""
     header, found, body = data.partition(end)
     if rng.random() < 0.7:
         text = damaged_text(rng, (header + found).decode("latin-1"))
@@ -21,11 +20,6 @@ def damaged_header(rng: Random, data: bytes, end: bytes = b"end_header\n") -> by
     if rng.random() < 0.4:
         body = damaged_bytes(rng, body)
     return header + found + body
-
-
-def write_text(path: Path, text: str) -> Path:
-    path.write_text(text, encoding="utf-8", errors="replace")
-    return path
 
 
 def damaged_utf8(rng: Random, data: bytes) -> bytes:

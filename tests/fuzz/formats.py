@@ -18,13 +18,13 @@ from fuzz.scene_files import (
     check_sog,
     compressed_seeds,
     damaged_ksplat,
-    ksplats,
+    ksplat_seeds,
     make_glb,
     make_sog,
     make_spz,
     make_streamed,
-    ply_files,
-    splats,
+    ply_seeds,
+    splat_seeds,
 )
 from fuzz.settings_files import check_config, check_spec, damaged_spec, make_config, spec_seeds
 
@@ -49,14 +49,14 @@ def _json_seeds(tree: Callable[[], Any]) -> list[bytes]:
 
 
 _FORMATS = (
-    _file("ply-binary", "s.ply", functools.partial(ply_files, False), damaged_header, check_scene),
-    _file("ply-ascii", "s.ply", functools.partial(ply_files, True), damaged_header, check_scene),
+    _file("ply-binary", "s.ply", functools.partial(ply_seeds, False), damaged_header, check_scene),
+    _file("ply-ascii", "s.ply", functools.partial(ply_seeds, True), damaged_header, check_scene),
     _file("ply-compressed", "s.ply", compressed_seeds, damaged_header, check_scene),
     Format(name="spz", make=make_spz, read=check_scene),
     Format(name="sog", make=make_sog, read=check_sog),
     Format(name="streamed", make=make_streamed, read=check_sog),
-    _file("splat", "s.splat", splats, damaged_bytes, check_scene),
-    _file("ksplat", "s.ksplat", ksplats, damaged_ksplat, check_scene),
+    _file("splat", "s.splat", splat_seeds, damaged_bytes, check_scene),
+    _file("ksplat", "s.ksplat", ksplat_seeds, damaged_ksplat, check_scene),
     Format(name="glb", make=make_glb, read=check_scene),
     _file(
         "cameras",

@@ -1,4 +1,4 @@
-"""Damaged images of masks, and what a valid mask is."""
+"""Masks as damaged images, and the check of those that can be read all the same."""
 
 import functools
 import io
@@ -46,7 +46,7 @@ def make_mask(rng: Random | None, folder: Path) -> Path:
 
 
 def _with_checksums(png: bytes) -> bytes:
-    """Correct the checksums of the chunks, without which a decoder looks no further."""
+    """Correct the checksums of the chunks: a decoder reads no chunk whose checksum is wrong."""
     content, at = bytearray(png), 8
     while at + 12 <= len(content):
         end = at + 8 + int.from_bytes(content[at : at + 4], "big")

@@ -1,4 +1,4 @@
-"""Damaged folders of results, and what valid results are."""
+"""Folders of results with a damaged file, and the check of results that can be read."""
 
 import functools
 import math
@@ -6,7 +6,7 @@ import tempfile
 from pathlib import Path
 from random import Random
 
-from fuzz.camera_inputs import check_numbers
+from fuzz.camera_inputs import check_camera_numbers
 from fuzz.damage import Damage, damaged_header, damaged_json, damaged_npy
 from results_folder import write_results
 
@@ -26,7 +26,7 @@ def make_results(rng: Random | None, folder: Path) -> Path:
     files = _results()
     if rng is not None:
         name = rng.choice(list(files))
-        files = files | {name: _RESULTS[name](rng, files[name])}
+        files = files | {name: _DAMAGES[name](rng, files[name])}
     for name, data in files.items():
         (folder / name).write_bytes(data)
     return folder
@@ -38,7 +38,7 @@ def check_results(path: Path) -> None:
     assert len(results.tamper) == len(results.labels) == len(results.scene.gaussians)
     assert ((results.tamper >= 0) & (results.tamper <= 1)).all()
     assert math.isfinite(results.report["config"]["threshold"])
-    check_numbers(results.cameras)
+    check_camera_numbers(results.cameras)
     counts, verdict = results.report["counts"], results.report.get("verdict")
     assert "nan" not in headline(verdict, counts["tampered"]) + labels_sentence(
         counts["tampered"],
@@ -49,7 +49,7 @@ def check_results(path: Path) -> None:
     )
 
 
-_RESULTS: dict[str, Damage] = {
+_DAMAGES: dict[str, Damage] = {
     "tamper.ply": damaged_header,
     "tamper.npy": damaged_npy,
     "labels.npy": damaged_npy,

@@ -1,4 +1,4 @@
-"""Damaged scene files of every format, and what a valid scene is."""
+"""Scene files of every format with damage, and the check of scenes that can be read."""
 
 import dataclasses
 import functools
@@ -29,8 +29,8 @@ COUNT = 3
 
 
 @functools.cache
-def ply_files(text: bool) -> list[bytes]:
-    """Files of degree 0 and 1, with an element of lists, and with foreign properties."""
+def ply_seeds(text: bool) -> list[bytes]:
+    """Scenes of SH degree 0 and 1, one with faces, one with a property of another program."""
     with tempfile.TemporaryDirectory() as name:
         path = Path(name) / "scene.ply"
         degrees = [columns_of(random_scene(COUNT, degree=degree)) for degree in (0, 1)]
@@ -66,7 +66,7 @@ def _binary(ply: PlyData) -> bytes:
 
 
 def check_scene(path: Path) -> None:
-    """Read a scene; what is written after a run must be the same scene."""
+    """Read a scene, and require that it is the same after it was written as `locate` does."""
     scene = read_ply(path, max_bytes=READER_BYTES)
     assert len(scene.gaussians) == len(scene.rows) > 0
     assert usable_rows(scene.gaussians).all()
@@ -187,13 +187,13 @@ def check_sog(path: Path) -> None:
 
 
 @functools.cache
-def splats() -> list[bytes]:
+def splat_seeds() -> list[bytes]:
     with tempfile.TemporaryDirectory() as name:
         return [write_splat(Path(name) / "s.splat", random_scene(COUNT)).read_bytes()]
 
 
 @functools.cache
-def ksplats() -> list[bytes]:
+def ksplat_seeds() -> list[bytes]:
     made = random_scene(40, degree=2)
     with tempfile.TemporaryDirectory() as name:
         path = Path(name) / "s.ksplat"

@@ -1,4 +1,4 @@
-"""Damaged descriptions of networks and configurations of runs, and what valid ones are."""
+"""Descriptions of networks and configurations of runs with damage, and checks of them."""
 
 import dataclasses
 import functools
@@ -8,7 +8,7 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
-from fuzz.damage import damaged_utf8, write_text
+from fuzz.damage import damaged_utf8
 from fuzz.mutate import damaged_text, damaged_tree, json_text, toml_text
 
 from gsc_jax.cli.config_file import read_config_file
@@ -37,12 +37,12 @@ def _config_trees() -> list[Any]:
 
 def make_config(rng: Random | None, folder: Path) -> Path:
     if rng is None:
-        return write_text(folder / "run.json", json.dumps(_config_trees()[1]))
+        return _write(folder / "run.json", json.dumps(_config_trees()[1]))
     tree = damaged_tree(rng, rng.choice(_config_trees()))
     if rng.random() < 0.5:
-        return write_text(folder / "run.json", json_text(rng, tree))
+        return _write(folder / "run.json", json_text(rng, tree))
     text = toml_text(rng, tree)
-    return write_text(folder / "run.toml", damaged_text(rng, text) if rng.random() < 0.3 else text)
+    return _write(folder / "run.toml", damaged_text(rng, text) if rng.random() < 0.3 else text)
 
 
 def check_config(path: Path) -> None:
@@ -73,3 +73,8 @@ def damaged_spec(rng: Random, data: bytes) -> bytes:
     if rng.random() < 0.3:
         return damaged_utf8(rng, data)
     return toml_text(rng, damaged_tree(rng, _spec_tree())).encode("utf-8", "replace")
+
+
+def _write(path: Path, text: str) -> Path:
+    path.write_text(text, encoding="utf-8", errors="replace")
+    return path

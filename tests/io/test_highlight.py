@@ -1,4 +1,4 @@
-"""The scene that shows in any viewer what was found."""
+"""`highlight.ply`, a copy of a scene with tampered Gaussians red and all others grey."""
 
 import dataclasses
 

@@ -1,4 +1,4 @@
-"""Scenes survive reading and writing in every layout of .ply."""
+"""A scene is the same after it was written and read, in every layout of .ply."""
 
 import dataclasses
 from pathlib import Path

@@ -49,7 +49,7 @@ def test_other_files_are_refused(tmp_path, content, problem):
 def test_truncated_files_are_refused(tmp_path_factory, text, share):
     path = tmp_path_factory.mktemp("cut") / "cut.ply"
     whole = write_columns(path, SMALL, text=text).read_bytes()
-    # A cut inside the last number of a text file leaves a valid, shorter number.
+    # At least 25 bytes are cut off: inside the last number, a cut leaves a shorter, valid one.
     path.write_bytes(whole[: int(share * (len(whole) - 25))])
     with pytest.raises(InputError, match=r"cut short .* header promises 7|not a PLY file"):
         read_ply(path)

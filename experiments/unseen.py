@@ -83,6 +83,9 @@ def all_rows(args: FamilyArgs) -> Iterator[Iterator[Row]]:
     if not (args.quick or (args.data / "scenes").is_dir()):
         raise InputError(f"{args.data}: no scenes; this experiment needs the real ones")
     classifier = stored(args.classifier) if args.classifier else default_classifier()
+    lossy, histories = ((AS_EDITED, *some) for some in (LOSSY, EXPORTERS))
+    if args.quick:
+        lossy, histories = lossy[:3], histories[:3]
     jobs = args.jobs()
     both = list(itertools.product(jobs, args.families))
     for (scene, edit, seed), family in tqdm(both, desc="cases", disable=None):
@@ -91,15 +94,15 @@ def all_rows(args: FamilyArgs) -> Iterator[Iterator[Row]]:
         except InputError as error:
             tqdm.write(f"{scene}, {edit}, seed {seed}, {family}: {error}")
             continue
-        for exporter in (AS_EDITED, *LOSSY):
+        for exporter in lossy:
             yield rows_of(case, exporter, classifier, family)
     for scene in dict.fromkeys(scene for scene, *_ in jobs):
         case = without_edit(make_case(scene, "modification", args.first_seed, args.data))
-        for exporter in tqdm((AS_EDITED, *EXPORTERS), desc=f"authentic {scene}", disable=None):
+        for exporter in tqdm(histories, desc=f"authentic {scene}", disable=None):
             yield rows_of(case, exporter, classifier)
         if "laundered" in args.families:
             trained = laundered_without_edit(case)
-            for exporter in (AS_EDITED, *LOSSY):
+            for exporter in lossy:
                 yield rows_of(trained, exporter, classifier, "laundered")
 
 

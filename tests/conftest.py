@@ -1,13 +1,16 @@
-"""Strict JAX for all tests (no implicit promotion), and a counter of compilations."""
+"""Strict JAX for all tests, a cache folder that they share, and a counter of compilations."""
 
 import contextlib
 import importlib.metadata
+import os
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 import hypothesis
 import jax
 import pytest
+
+from gsc_jax.cli import cache
 
 if TYPE_CHECKING:
     from browser import Browser
@@ -24,6 +27,13 @@ def pytest_configure(config):
     # Global settings, because context managers are thread-local and the library uses threads.
     jax.config.update("jax_numpy_dtype_promotion", "strict")
     jax.config.update("jax_numpy_rank_promotion", "raise")
+    # Half of the time of all tests is compilation: workers, the processes that they start and later
+    # runs share what was compiled.
+    os.environ["XDG_CACHE_HOME"] = str(config.rootpath / ".pytest_cache" / "user")
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = str(cache.cache_folder())
+    os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
+    cache.MIN_SECONDS = 0
+    cache.enable_compilation_cache(cache.cache_folder())
     jax.monitoring.register_event_duration_secs_listener(_count)
     hypothesis.settings.register_profile(
         "gsc_jax", deadline=None, max_examples=20, derandomize=True, print_blob=True

@@ -46,8 +46,10 @@ class Shown:
     folder: Path
     contents: Contents
     gaussians: Gaussians
+    renders: dict[tuple[int, int, int], np.ndarray] = dataclasses.field(default_factory=dict)
+    """Renders of gsc_jax so far, by camera, height and width."""
 
-    def open(self, address: str, *, size: tuple[int, int] = (900, 560)) -> "Shown":
+    def open(self, address: str, *, size: tuple[int, int] = (640, 400)) -> "Shown":
         self.browser.get("about:blank")
         self.browser.errors()
         self.browser.requests()
@@ -122,17 +124,20 @@ class Shown:
         self.becomes(is_closest)
 
     def errors(self, picture: np.ndarray) -> list[float]:
-        """Mean differences between a picture and a render from each camera."""
-        renders = (self._rendered(pose) for pose in self.contents.poses)
+        """Mean differences between a picture and a render of its size from each camera."""
+        renders = (self._rendered(k, *picture.shape[:2]) for k in range(len(self.contents.poses)))
         return [float(abs(picture - render).mean()) for render in renders]
 
-    def _rendered(self, pose: Pose) -> np.ndarray:
-        """A render of gsc_jax from a camera, at the size of the canvas."""
-        height, width = self.picture().shape[:2]
-        K = intrinsics(height / 2 / np.tan(pose.fov / 2), width, height)
-        viewmat = look_at(pose.position, pose.look_at, pose.up)
-        camera = Camera(viewmat=viewmat, K=K, width=width, height=height)
-        return np.clip(np.asarray(render(self.gaussians, camera)[0]), 0, 1)
+    def _rendered(self, index: int, height: int, width: int) -> np.ndarray:
+        """A render of gsc_jax from a camera."""
+        if (index, height, width) not in self.renders:
+            pose = self.contents.poses[index]
+            K = intrinsics(height / 2 / np.tan(pose.fov / 2), width, height)
+            viewmat = look_at(pose.position, pose.look_at, pose.up)
+            camera = Camera(viewmat=viewmat, K=K, width=width, height=height)
+            picture = np.clip(np.asarray(render(self.gaussians, camera)[0]), 0, 1)
+            self.renders[index, height, width] = picture
+        return self.renders[index, height, width]
 
     def until(self, condition: Callable) -> WebElement:
         return WebDriverWait(self.browser, TIMEOUT_SECONDS).until(condition)

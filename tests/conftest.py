@@ -11,6 +11,8 @@ import jax
 import pytest
 
 from gsc_jax.cli import cache
+from gsc_jax.io.files import memory_limit
+from gsc_jax.scene.parallel import usable_cores
 
 if TYPE_CHECKING:
     from browser import Browser
@@ -39,6 +41,13 @@ def pytest_configure(config):
         "gsc_jax", deadline=None, max_examples=20, derandomize=True, print_blob=True
     )
     hypothesis.settings.load_profile("gsc_jax")
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int:
+    """A worker for each core, at most four, and at most two if each could not take 4 GB."""
+    most = 4 if memory_limit() > 8 << 30 else 2  # half of the memory of the machine
+    return min(len(usable_cores()), most)
 
 
 def pytest_report_header() -> str:

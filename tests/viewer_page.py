@@ -14,7 +14,7 @@ from selenium.webdriver.common.by import By
 from selenium.webdriver.remote.webelement import WebElement
 from selenium.webdriver.support.ui import Select, WebDriverWait
 
-from gsc_jax.cli.viewer.contents import Contents, Pose
+from gsc_jax.cli.viewer.contents import Contents
 from gsc_jax.render.orbit import look_at
 from gsc_jax.scene import Camera, Gaussians
 from gsc_jax.scene.camera import intrinsics

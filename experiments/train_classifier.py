@@ -24,7 +24,7 @@ import numpy as np
 import optax
 from bank import BANK, NO_EDIT, BankCase, Kind, hosts, source_of, training_seeds
 from cases import DATA, available
-from classifier_examples import Examples, kept, make_examples, stored_case
+from classifier_examples import Examples, digest, kept, make_examples, stored_case
 from runner import start
 from scipy.optimize import minimize
 from scipy.special import expit
@@ -74,7 +74,7 @@ class Args:
         bank: The captures; without them only scenes of cases.py are edited.
         keep: Folder of features, slow edits, networks and their outputs, with which a run that was
             stopped goes on, and of the classifiers that leave out a scene. Remove it after a change
-            of the features, of an edit or of the bank.
+            of the features, of an edit or of a capture.
         out: File of the classifier of the package.
     """
 
@@ -333,24 +333,27 @@ def main(args: Args) -> None:
     progress = tqdm(jobs, desc="cases", disable=None)
     made = [make_examples(*job, args.bank, args.data, args.keep) for job in progress]
     cases = [case for case in made if case.share > 0]
-    networks = kept(args.keep / "networks.pickle", lambda: train_networks(cases, scenes))
+    trained = args.keep / digest(cases)  # after cases were added, nothing older is taken for new
+    networks = kept(trained / "networks.pickle", lambda: train_networks(cases, scenes))
     folds = [make_fold(heldout, cases, networks) for heldout in (None, *scenes)]
-    outputs = list(whole_outputs(folds, args))
+    outputs = list(whole_outputs(folds, args, trained))
     for fold in folds:
         own = [by[fold.heldout] for by in outputs if fold.heldout in by]
         path = args.keep / f"without-{fold.heldout}.npz" if fold.heldout else args.out
         save(path, calibrated(fold.classifier, own))
 
 
-def whole_outputs(folds: Sequence[Fold], args: Args) -> Iterator[dict[str | None, SceneOutput]]:
-    """Yield the outputs for whole cases of each host, edited and not, and keep them in files."""
+def whole_outputs(
+    folds: Sequence[Fold], args: Args, folder: Path
+) -> Iterator[dict[str | None, SceneOutput]]:
+    """Yield the outputs for whole cases of each host, edited and not, and keep them in a folder."""
     for host, edit, seed in tqdm(calibration_cases(args), desc="whole cases", disable=None):
 
         def compute(job: tuple[str, Kind, int] = (host, edit, seed)) -> Outputs:
             case = stored_case(*job, args.bank, args.data, args.keep)
             return scene_outputs(case, job[0], folds) if case else {}
 
-        yield kept(args.keep / "outputs" / f"{host}_{edit}_{seed}.pickle", compute)
+        yield kept(folder / f"{host}_{edit}_{seed}.pickle", compute)
 
 
 def calibration_cases(args: Args) -> list[tuple[str, Kind, int]]:

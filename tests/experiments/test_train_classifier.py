@@ -1,5 +1,6 @@
 """Training of the classifier: what is held out, calibration, and the stored file."""
 
+import dataclasses
 from types import SimpleNamespace
 
 import bank
@@ -11,7 +12,7 @@ import pytest
 import sources
 import train_classifier as train
 from bank import FIRST_SEED, NO_EDIT, PROGRAM_SEEDS, bank_case
-from classifier_examples import Examples
+from classifier_examples import Examples, digest
 from forensics_cases import room
 from learned_cases import examples
 from scipy.special import expit
@@ -178,6 +179,15 @@ def test_examples_are_kept_and_a_host_without_a_place_has_none(small_rooms, tmp_
     absent = classifier_examples.make_examples("room", "modification", *arguments[2:])
     assert absent.share == 0
     assert not len(absent.labels)
+
+
+def test_networks_of_other_examples_are_kept_apart():
+    first, second = examples("a-0", 0), examples("b-0", 1)
+    assert digest([first, second]) == digest([first, second])
+    changed = dataclasses.replace(first, labels=~first.labels)
+    others = [[first], [changed, second], [first, dataclasses.replace(second, host="c-0")]]
+    names = {digest(cases) for cases in ([first, second], *others)}
+    assert len(names) == 4
 
 
 def test_hosts_of_a_curve_grow_and_leave_out_a_source():

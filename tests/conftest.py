@@ -45,8 +45,8 @@ def pytest_configure(config):
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int:
-    """A worker for each core, at most four, and at most two if each could not take 4 GB."""
-    most = 4 if memory_limit() > 8 << 30 else 2  # half of the memory of the machine
+    """A worker for each core, at most four, and at most two if each could not take 8 GiB."""
+    most = 4 if memory_limit() >= 16 << 30 else 2  # half of the memory of the machine
     return min(len(usable_cores()), most)
 
 

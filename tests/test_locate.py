@@ -317,6 +317,7 @@ def test_a_mask_is_resized_as_a_probability_and_thresholded_once_strictly():
 
 @needs_data
 @EVERY_METHOD
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TAMPERED)
 def test_the_truth_masks_of_the_real_scenes_lead_to_their_gaussians(name, method):
     data = load_tampered(name)

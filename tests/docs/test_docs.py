@@ -50,6 +50,7 @@ def user_settings(tmp_path, monkeypatch):
         yield tmp_path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("page", "least"), [("tutorial.md", 15), ("gradients.md", 2)])
 def test_a_page_prints_its_documented_output(user_settings, page, least):
     names: dict = {}

@@ -13,6 +13,7 @@ def test_there_is_one_for_each_kind_of_use():
     assert [path.stem for path in NOTEBOOKS] == ["detector", "fit", "locate", "loss"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_notebooks_run(path, tmp_path):
     notebook = nbformat.read(path, as_version=4)

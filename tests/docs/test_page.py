@@ -19,6 +19,7 @@ from selenium.webdriver.support.wait import WebDriverWait
 
 import gsc_jax
 
+pytestmark = pytest.mark.slow
 ROOT = Path(__file__).resolve().parents[2]
 CODE = ("code", "pre", "script", "style")
 OPENED = (

@@ -42,6 +42,7 @@ def heldout_psnr(scene) -> float:
     return psnr(gsc_jax.render(scene, ROOM.cameras[-1])[0], IMAGES[-1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("strategy", get_args(module.Strategy))
 def test_training_improves_a_view_that_it_never_saw(monkeypatch, strategy):
     monkeypatch.setattr(module, "INTERVAL", 20)

@@ -31,6 +31,8 @@ from gsc_jax.scene.camera import intrinsics
 
 pytest.importorskip("viser")
 
+pytestmark = pytest.mark.slow
+
 ORDER = """
 let order;
 __viserMutable.scene.traverse((node) => {

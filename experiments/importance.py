@@ -98,7 +98,9 @@ def choices(names: Sequence[str], together: Groups) -> dict[str, Groups]:
     return chosen | ({" + ".join(together): together} if together else {})
 
 
-def trained_without(cases: Sequence[Examples], source: str, without: Groups) -> Classifier:
+def trained_without(
+    cases: Sequence[Examples], source: str, without: Groups, members: int = MEMBERS
+) -> Classifier:
     """A classifier of the cases that do not show a source, without some groups of features."""
     columns = kept_columns(cases[0].names, without)
     own = [
@@ -106,7 +108,7 @@ def trained_without(cases: Sequence[Examples], source: str, without: Groups) -> 
         for one in cases
         if source not in one.sources
     ]
-    networks = tuple(train_network(own, seed=seed) for seed in range(MEMBERS))
+    networks = tuple(train_network(own, seed=seed) for seed in range(members))
     names = tuple(np.array(cases[0].names)[columns].tolist())
     return dataclasses.replace(default_classifier(), networks=networks, names=names)
 
@@ -139,15 +141,16 @@ def all_rows(args: ImportanceArgs) -> Iterator[Iterator[Row]]:
     """Train for one source after the other, and measure its cases."""
     cases = examples_of(args)
     chosen = choices(cases[0].names, args.together)
+    members = MEMBERS
     if args.quick:
-        chosen = dict(itertools.islice(chosen.items(), 2))
+        chosen, members = dict(itertools.islice(chosen.items(), 2)), 1
     source, classifiers = "", {}
     for host, case in scored_cases(args):
         if source != source_of(host):
             source = source_of(host)
             progress = tqdm(chosen.items(), desc=f"networks without {source}", disable=None)
             classifiers = {
-                name: (without, trained_without(cases, source, without))
+                name: (without, trained_without(cases, source, without, members))
                 for name, without in progress
             }
         yield rows_of(host, case, classifiers)

@@ -84,10 +84,11 @@ def all_rows(args: FamilyArgs) -> Iterator[Iterator[Row]]:
         raise InputError(f"{args.data}: no scenes; this experiment needs the real ones")
     classifier = stored(args.classifier) if args.classifier else default_classifier()
     lossy, histories = ((AS_EDITED, *some) for some in (LOSSY, EXPORTERS))
-    if args.quick:
-        lossy, histories = lossy[:3], histories[:3]
     jobs = args.jobs()
     both = list(itertools.product(jobs, args.families))
+    if args.quick:
+        lossy, histories = lossy[:3], histories[:3]
+        both = list(zip(jobs, args.families, strict=False))
     for (scene, edit, seed), family in tqdm(both, desc="cases", disable=None):
         try:
             case = case_of_family(scene, edit, seed, family, args.data)

@@ -74,7 +74,7 @@ class Args:
         bank: The captures; without them only scenes of cases.py are edited.
         keep: Folder of features, slow edits, networks and their outputs, with which a run that was
             stopped goes on, and of the classifiers that leave out a scene. Remove it after a change
-            of the features, of an edit or of a capture.
+            of the features, of an edit or of the bank.
         out: File of the classifier of the package.
     """
 
@@ -333,7 +333,7 @@ def main(args: Args) -> None:
     progress = tqdm(jobs, desc="cases", disable=None)
     made = [make_examples(*job, args.bank, args.data, args.keep) for job in progress]
     cases = [case for case in made if case.share > 0]
-    trained = args.keep / digest(cases)  # after cases were added, nothing older is taken for new
+    trained = args.keep / digest(cases)  # networks of other examples are not read
     networks = kept(trained / "networks.pickle", lambda: train_networks(cases, scenes))
     folds = [make_fold(heldout, cases, networks) for heldout in (None, *scenes)]
     outputs = list(whole_outputs(folds, args, trained))

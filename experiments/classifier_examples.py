@@ -109,7 +109,7 @@ def _sampled(case: BankCase) -> dict[str, np.ndarray]:
 
 
 def digest(cases: Sequence[Examples]) -> str:
-    """Sixteen digits that differ if the cases, or what a network learns from them, do."""
+    """A hash, in 16 hexadecimal digits, of the features, labels, hosts and edits of all cases."""
     found = hashlib.blake2b(digest_size=8)
     for case in cases:
         found.update(repr((case.host, case.edit, sorted(case.sources), case.names)).encode())

@@ -346,7 +346,7 @@ def main(args: Args) -> None:
 def whole_outputs(
     folds: Sequence[Fold], args: Args, folder: Path
 ) -> Iterator[dict[str | None, SceneOutput]]:
-    """Yield the outputs for whole cases of each host, edited and not, and keep them in a folder."""
+    """Yield the outputs for whole cases of each host, edited and not; `folder` keeps them."""
     for host, edit, seed in tqdm(calibration_cases(args), desc="whole cases", disable=None):
 
         def compute(job: tuple[str, Kind, int] = (host, edit, seed)) -> Outputs:

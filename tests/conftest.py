@@ -1,4 +1,4 @@
-"""Strict JAX for all tests, a cache folder that they share, and a counter of compilations."""
+"""Settings of all tests: strict JAX, a shared cache folder, a counter of compilations."""
 
 import contextlib
 import importlib.metadata
@@ -29,8 +29,8 @@ def pytest_configure(config):
     # Global settings, because context managers are thread-local and the library uses threads.
     jax.config.update("jax_numpy_dtype_promotion", "strict")
     jax.config.update("jax_numpy_rank_promotion", "raise")
-    # Half of the time of all tests is compilation: workers, the processes that they start and later
-    # runs share what was compiled.
+    # About half of the time of the tests is compilation by JAX. The workers of pytest, processes
+    # that they start, and later runs share the compiled functions in a folder.
     os.environ["XDG_CACHE_HOME"] = str(config.rootpath / ".pytest_cache" / "user")
     os.environ["JAX_COMPILATION_CACHE_DIR"] = str(cache.cache_folder())
     os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
@@ -45,7 +45,7 @@ def pytest_configure(config):
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int:
-    """A worker for each core, at most four, and at most two if each could not take 8 GiB."""
+    """One worker per core: at most four, or at most two on a machine with less than 32 GiB."""
     most = 4 if memory_limit() >= 16 << 30 else 2  # half of the memory of the machine
     return min(len(usable_cores()), most)
 

@@ -47,7 +47,7 @@ class Shown:
     contents: Contents
     gaussians: Gaussians
     renders: dict[tuple[int, int, int], np.ndarray] = dataclasses.field(default_factory=dict)
-    """Renders of gsc_jax so far, by camera, height and width."""
+    """Renders that were made before, by index of the camera, height and width."""
 
     def open(self, address: str, *, size: tuple[int, int] = (640, 400)) -> "Shown":
         self.browser.get("about:blank")
@@ -124,7 +124,7 @@ class Shown:
         self.becomes(is_closest)
 
     def errors(self, picture: np.ndarray) -> list[float]:
-        """Mean differences between a picture and a render of its size from each camera."""
+        """Mean difference of a picture from the render of each camera, at its size."""
         renders = (self._rendered(k, *picture.shape[:2]) for k in range(len(self.contents.poses)))
         return [float(abs(picture - render).mean()) for render in renders]
 

@@ -117,7 +117,7 @@ print((time.thread_time() - own) / (time.process_time() - start))
 @pytest.mark.skipif(sys.platform != "linux", reason="affinities are those of Linux")
 def test_jax_can_compute_in_the_calling_thread():
     command = [sys.executable, "-c", IN_CALLING_THREAD]
-    # What was compiled with threads would be read from the cache, and use them.
+    # Without the cache: a function that another test compiled for several threads would use them.
     own = {**os.environ, "JAX_PLATFORMS": "cpu", "JAX_ENABLE_COMPILATION_CACHE": "0"}
     done = subprocess.run(command, check=True, capture_output=True, text=True, env=own)
     assert float(done.stdout) > 0.9

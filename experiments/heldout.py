@@ -18,10 +18,10 @@ from pathlib import Path
 import numpy as np
 from bank import BANK, FIRST_SEED, NO_EDIT, PROGRAM_SEEDS, BankCase, Kind, hosts, source_of
 from classifier_examples import stored_case
-from native import NativeArgs, classifier_without
 from runner import measured, start
 from tables import Frame, Row, markdown, pivot, where, write_section
 from tqdm import tqdm
+from without_masks import KeepArgs, classifier_without
 
 from gsc_jax.benchmark.metrics import auc, confusion
 from gsc_jax.benchmark.tamper import EDITS
@@ -41,7 +41,7 @@ KINDS: tuple[Kind, ...] = (*EDITS, NO_EDIT)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class HeldoutArgs(NativeArgs):
+class HeldoutArgs(KeepArgs):
     """Arguments of the experiment.
 
     Attributes:

@@ -29,12 +29,12 @@ from bank import (
     training_seeds,
 )
 from classifier_examples import Examples, make_examples, stored_case
-from native import NativeArgs
 from runner import measured, start
 from single_network import scorer
 from tables import Frame, Row, markdown, where, write_section
 from tqdm import tqdm
 from train_classifier import train_network
+from without_masks import KeepArgs
 
 from gsc_jax.benchmark.tamper import EDITS, Edit
 from gsc_jax.forensics.classifier import Layers
@@ -53,7 +53,7 @@ Shares = Callable[[Examples, str, BankCase], bool]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class LeaveOutArgs(NativeArgs):
+class LeaveOutArgs(KeepArgs):
     """Arguments of the experiment.
 
     Attributes:

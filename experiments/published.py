@@ -100,8 +100,8 @@ def report(rows: Frame) -> str:
         [
             "**Table 1: F1 by kind of edit**",
             beside(plain, "edit", TABLE_1),
-            "**Table 2: F1 on modifications, noise on the model** (strengths as in the section on "
-            "distortions; the paper states none)",
+            "**Table 2: F1 on modifications, noise on the model** (strengths as under "
+            '"Noise and blur"; the paper states none)',
             beside(modified[modified.method.isin([*TABLE_2, "robust"])], "distortion", TABLE_2),
             "**Table 3: F1 of parts of GS-Checker**",
             beside(checker, "edits", quoted),

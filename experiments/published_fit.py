@@ -31,7 +31,7 @@ MEASURED: Mapping[str, Method] = {
     "inverse projection": ALL_METHODS["inverse projection"],
     "SAGD": ALL_METHODS["SAGD vote"],
     "SA3D": ALL_METHODS["SA3D, gate"],
-    FULL: ALL_METHODS["GS-Checker official, attribute"],
+    FULL: ALL_METHODS["GS-Checker official"],
     VOTE: functools.partial(vote_alone, OFFICIAL),
     NO_3D: ALL_METHODS["GS-Checker official, no 3D loss"],
 }

@@ -19,10 +19,10 @@ from cases import CUT, UNSEEN, Case, make_case, without_edit
 from editors import UNTOUCHED, Family, case_of_family, laundered_without_edit, source_of_object
 from export import EXPORTERS, export
 from heldout import ALARM, called, separation
-from native import WITH_TRACES, WITHOUT_TRACES, rows_without_masks, stored
 from runner import Args, measured, start
 from tables import Frame, Row, markdown, pivot, where, write_section
 from tqdm import tqdm
+from without_masks import WITH_TRACES, WITHOUT_TRACES, rows_without_masks, stored
 
 from gsc_jax.forensics.classifier import Classifier, default_classifier
 from gsc_jax.forensics.evidence import forensic_evidence

@@ -22,7 +22,6 @@ SCRIPTS = (
     "fusion",
     "importance",
     "mask_checks",
-    "native",
     "parsimony",
     "published",
     "published_fit",

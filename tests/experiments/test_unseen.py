@@ -2,8 +2,8 @@
 
 import pandas as pd
 import pytest
-from native import WITH_TRACES, WITHOUT_TRACES
 from unseen import AS_EDITED, UNTOUCHED, report
+from without_masks import WITH_TRACES, WITHOUT_TRACES
 
 
 def rows_of(families: tuple[str, ...]) -> pd.DataFrame:

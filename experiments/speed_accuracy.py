@@ -36,6 +36,8 @@ VIEWS, SCALES = (4, 8, 12, 18), (0.25, 0.5, 1.0)
 VOTERS = "inverse projection", "mode vote", "SAGD vote"
 SETTING = ["method", "epochs", "views", "scale"]
 RENDERED = "GS-Checker official, rendered"
+WITHOUT_EVIDENCE = (*VOTERS, RENDERED)
+"""Methods that need the votes of the views, but not the evidence."""
 VARIANTS: dict[tuple[str, int | str], Method] = {
     **{(name, ""): ALL_METHODS[name] for name in (*VOTERS, "SA3D", "FlashSplat")},
     ("GS-Checker official", ""): ALL_METHODS["GS-Checker official, attribute"],
@@ -103,7 +105,7 @@ def rows_of(case: Case, counts: Sequence[int], scales: Sequence[float]) -> list[
         observed = observe_regimes(smaller, own)
         full = views == max(counts) and scale == max(scales)
         for key, method in (VARIANTS | ({(RENDERED, ""): AS_RELEASED} if full else {})).items():
-            seconds = before + (voting if key[0] in VOTERS else observing)
+            seconds = before + (voting if key[0] in WITHOUT_EVIDENCE else observing)
             setting = dict(zip(SETTING, (*key, views, scale), strict=True))
             row = {**case.key, **setting, **measure(case, observed, method, seconds)}
             row["with_network"] = row["seconds"] + rendering + NETWORK * views

@@ -156,7 +156,7 @@ def plain_stages(gaussians: Gaussians, camera: Camera, rgba: jax.Array, maps: ja
 
 def numpy_composite(view: View, features: np.ndarray) -> np.ndarray:
     """W c with one vectorised NumPy expression per tile."""
-    rows, columns = view.grid
+    rows, columns = -(-view.height // TILE), -(-view.width // TILE)
     splats, ids = np.asarray(view.splats), np.asarray(view.ids)
     image = np.zeros((rows * TILE, columns * TILE, features.shape[1]), np.float32)
     lists = (np.asarray(x) for x in (view.tiles, view.starts, view.counts))

@@ -37,8 +37,8 @@ from gsc_jax.scene.gaussians import filled_up
 from gsc_jax.scene.pytree import short_repr
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Result:
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Result(Finding):
     """Tampered Gaussians and pixels, and how they were found.
 
     Attributes:
@@ -62,22 +62,15 @@ class Result:
         warnings: Sentences for the user.
     """
 
-    tamper: np.ndarray
-    labels: np.ndarray
-    attribute: np.ndarray
-    verdict: float | None
-    reliability: dict[str, Reliability]
+    reliability: dict[str, Reliability]  # pyright: ignore[reportIncompatibleVariableOverride]
     masks: Mapping[str, np.ndarray]
     probabilities: Mapping[str, np.ndarray]
     seen: np.ndarray
-    group_sizes: np.ndarray
-    rank: float | None
     early_stopping: EarlyStopping | None
     prior: Prior | None
     estimator: Estimator
     stages: dict[str, dict[str, float]]
     seconds: float
-    warnings: list[str]
 
     def __repr__(self) -> str:
         return short_repr(self).replace("(", f"(outcome={self.outcome!r}, ", 1)
@@ -132,41 +125,30 @@ def locate(
     given, store = store, store or ArrayStore()
     cameras = check_cameras(cameras)
     detector = None if detector is None else as_detector(detector, cameras)
-    warnings = [*check_views(gaussians, cameras, near=estimator.near), *_unusable(gaussians)]
+    gaussians, warnings = _usable(gaussians)
+    warnings = [*check_views(gaussians, cameras, near=estimator.near), *warnings]
     gaussians = jax.tree.map(jnp.asarray, gaussians)
     known = _prior(gaussians, estimator, prior, monitor)  # attributes -> prior
     if detector is None:  # prior -> decide
-        found = _from_attributes(estimator, known, monitor)
+        finding, found = _from_attributes(estimator, known, monitor)
     else:  # cameras -> render -> detect -> vote and lift -> optimise -> decide
         settings = {"near": estimator.near, "store": store, "monitor": monitor}
         observed = functools.partial(observe, gaussians, detector=detector, **settings)
-        found = _from_views(observed, cameras, detector, estimator, known, monitor)
-    finding, estimator = found.finding, found.estimator
+        finding, found = _from_views(observed, cameras, detector, estimator, known, monitor)
+    estimator, warnings = found["estimator"], [*warnings, *found["warnings"], *finding.warnings]
     if given is None:
         store.release(EVIDENCE)  # the result keeps the store for its masks
     settings = {"threshold": estimator.threshold, "near": estimator.near}
     settings |= {"rule": estimator.mask_rule, "scored": filled_scores(finding)}
     mask_of = view_mask if given is None else pictures
     compute = functools.partial(mask_of, filled_up(gaussians), **settings)
-    # labels -> masks
     masks = stored_masks(compute, cameras, store, monitor, gaussians=len(gaussians))
     return Result(
-        tamper=finding.tamper,
-        labels=finding.labels,
-        attribute=finding.attribute,
-        verdict=finding.verdict,
-        reliability=dict(zip(found.views, finding.reliability, strict=bool(finding.reliability))),
+        **(vars(finding) | found | {"warnings": warnings}),
         masks=masks,
-        probabilities=found.probabilities,
-        seen=found.seen,
-        group_sizes=finding.group_sizes,
-        rank=finding.rank,
-        early_stopping=found.early_stopping,
         prior=known if estimator.uses_prior else None,
-        estimator=estimator,
         stages=monitor.summary(),
         seconds=monitor.elapsed(),
-        warnings=[*warnings, *found.warnings, *finding.warnings],
     )
 
 
@@ -189,19 +171,6 @@ def _prior(
     return evidence
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class _Estimated:
-    """A finding and what else the result needs; the evidence, the largest object, is released."""
-
-    finding: Finding
-    seen: np.ndarray
-    estimator: Estimator
-    views: Sequence[str] = ()
-    probabilities: Mapping[str, np.ndarray] = dataclasses.field(default_factory=dict)
-    early_stopping: EarlyStopping | None = None
-    warnings: Sequence[str] = ()
-
-
 def _from_views(
     observed: Callable[[Sequence[Camera]], Observation],
     cameras: Sequence[Camera],
@@ -209,8 +178,8 @@ def _from_views(
     estimator: Estimator,
     prior: Prior | None,
     monitor: Monitor,
-) -> _Estimated:
-    """Observe the views and estimate, with all views or until the labels are stable."""
+) -> tuple[Finding, dict[str, Any]]:
+    """Observe the views and estimate: the finding, and further fields of the result."""
     chosen = detector.select(cameras)
     estimator, stop = estimator.for_views(len(chosen)), None
     # Masks from files cost nothing; each view of a network takes seconds.
@@ -219,28 +188,30 @@ def _from_views(
             observed, chosen, estimator, prior, monitor
         )
     else:
-        # Render (eq. 4), detect, vote (eq. 5), lift the masks to evidence (eq. 9 and 10) ...
         observation = observed(chosen)
         with monitor.stage("optimise"):
-            # ... initial attribute (eq. 6), optimise (eq. 7 to 12), decide.
             finding = estimator.estimate(observation, prior)
     with monitor.stage("optimise"):
         reasons = doubts(observation, near=estimator.near)
     if reasons and finding.verdict is not None:
-        without_masks = 0.5 if prior is None else prior.verdict
-        finding = dataclasses.replace(finding, verdict=min(finding.verdict, without_masks))
-    return _Estimated(
-        finding=finding,
-        seen=observation.evidence.seen,
-        estimator=estimator,
-        views=[camera.name for camera in observation.cameras],
-        probabilities=observation.probabilities,
-        early_stopping=stop,
-        warnings=[*reasons, *_without_mask(cameras, chosen), *getattr(detector, "warnings", ())],
-    )
+        verdict = min(finding.verdict, 0.5 if prior is None else prior.verdict)
+        edited = verdict >= estimator.min_verdict
+        kept = {"labels": finding.labels & edited, "tamper": finding.tamper * np.float32(edited)}
+        finding = dataclasses.replace(finding, verdict=verdict, **kept)
+    views = [camera.name for camera in observation.cameras]
+    return finding, {
+        "seen": observation.evidence.seen,
+        "estimator": estimator,
+        "reliability": dict(zip(views, finding.reliability, strict=bool(finding.reliability))),
+        "probabilities": observation.probabilities,
+        "early_stopping": stop,
+        "warnings": [*reasons, *_without_mask(cameras, chosen), *getattr(detector, "warnings", ())],
+    }
 
 
-def _from_attributes(estimator: Estimator, prior: Prior | None, monitor: Monitor) -> _Estimated:
+def _from_attributes(
+    estimator: Estimator, prior: Prior | None, monitor: Monitor
+) -> tuple[Finding, dict[str, Any]]:
     if not (estimator.uses_prior and isinstance(prior, ForensicEvidence)):
         raise ValueError(
             f"{estimator.name} needs a detector; without one, use method robust with prior=True or "
@@ -250,19 +221,21 @@ def _from_attributes(estimator: Estimator, prior: Prior | None, monitor: Monitor
         finding = estimate_from_attributes(
             prior, threshold=estimator.threshold, min_verdict=estimator.min_verdict
         )
-    return _Estimated(finding=finding, seen=prior.known, estimator=estimator)
+    empty = {"reliability": {}, "probabilities": {}, "early_stopping": None, "warnings": []}
+    return finding, {"seen": prior.known, "estimator": estimator, **empty}
 
 
-def _unusable(gaussians: Gaussians) -> list[str]:
-    """Warn about rows that cannot be rendered, counted by reason."""
+def _usable(gaussians: Gaussians) -> tuple[Gaussians, list[str]]:
+    """The scene with invalid rows at no place, where nothing sees them; warns and counts them."""
     reasons = {name: rows for name, rows in invalid_rows(gaussians).items() if rows.any()}
     if not reasons:
-        return []
-    count = int(np.any(list(reasons.values()), axis=0).sum())
+        return gaussians, []
+    invalid = np.any(list(reasons.values()), axis=0)
     counted = ", ".join(f"{int(rows.sum())} {name}" for name, rows in reasons.items())
-    return [
-        f"{count:,} of {len(gaussians):,} Gaussians have invalid values ({counted}) and are "
-        "ignored; `load_ply` leaves them out."
+    means = np.where(invalid[:, None], np.float32(np.nan), gaussians.means)
+    return dataclasses.replace(gaussians, means=means), [
+        f"{int(invalid.sum()):,} of {len(gaussians):,} Gaussians have invalid values ({counted}) "
+        "and are ignored; `load_ply` leaves them out."
     ]
 
 

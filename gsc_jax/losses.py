@@ -55,7 +55,7 @@ def partition(r: Array) -> Partition:
 
     A group may be empty, and most Gaussians are in none.
     """
-    largest, smallest = jnp.max(r), jnp.min(r)
+    largest, smallest = jnp.max(r, initial=0.0), jnp.min(r, initial=0.0)
     return Partition(
         high=(r > 0) & (r >= 0.9 * largest),
         middle=(r > 0) & (r <= 0.1 * largest),
@@ -119,7 +119,8 @@ def paper_attributes(gaussians: Gaussians) -> jax.Array:
 
     In raw units: the attribute with the largest unit dominates. 0 where not finite.
     """
-    return _raw_attributes(gaussians, jnp.reshape(gaussians.sh, (len(gaussians), -1)))
+    sh = jnp.reshape(gaussians.sh, (len(gaussians), 3 * gaussians.sh.shape[1]))
+    return _raw_attributes(gaussians, sh)
 
 
 def official_attributes(gaussians: Gaussians) -> jax.Array:
@@ -151,4 +152,4 @@ def standardised_attributes(gaussians: Gaussians) -> np.ndarray:
     usable = raw[:, np.isfinite(raw).all(axis=0)]
     center, spread = median_and_mad(usable, axis=1)
     scaled = (raw - center) / np.where(spread > 0, spread, 1.0)
-    return np.where((spread > 0) & np.isfinite(raw), scaled, np.float32(0))
+    return np.where((spread > 0) & np.isfinite(scaled), scaled, np.float32(0))

@@ -55,7 +55,8 @@ def _blended(view: View, features: jax.Array) -> tuple[jax.Array, jax.Array]:
         return image + sum(w[:, None] * f[..., None] for w, f in pairs)
 
     def blend(group):
-        return walk(view, group, visit, jnp.zeros((view.lockstep, features.shape[1], TILE * TILE)))
+        shape = view.lockstep, features.shape[1], TILE * TILE
+        return walk(view, group, visit, jnp.zeros(shape, jnp.float32))
 
     blended = jax.lax.map(blend, groups(view))
     return jnp.asarray(view.tiles), blended.reshape(-1, *blended.shape[2:])
@@ -85,7 +86,7 @@ def _lifted(view: View, tiled: jax.Array) -> jax.Array:
 
         return walk(view, group, visit, sums), None
 
-    sums = jnp.zeros((view.splats.shape[0], tiled.shape[1]))
+    sums = jnp.zeros((view.splats.shape[0], tiled.shape[1]), jnp.float32)
     return jax.lax.scan(gather, sums, groups(view))[0][:-1]
 
 
@@ -245,7 +246,7 @@ def render_view(
     """Render a scene as `render` does, given the view that `make_view` has built for it.
 
     Args:
-        view: View of the N Gaussians; under `jax.jit`, derivatives need
+        view: View of the N Gaussians; for derivatives by all of their attributes, it has to be
             `reprojected(view, gaussians, camera)`.
         gaussians: N Gaussians.
         camera: The camera of the view.

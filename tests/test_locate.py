@@ -273,7 +273,7 @@ def test_progress_and_stages_are_recorded():
     )
     assert ("views", 2, 2) in calls
     assert ("masks", 2, 2) in calls
-    assert {"project", "bin", "detect", "lift", "optimise", "masks"} <= set(result.stages)
+    assert {"project", "detect", "lift", "optimise", "masks"} <= set(result.stages)
     assert all(stage["seconds"] >= 0 for stage in result.stages.values())
 
 

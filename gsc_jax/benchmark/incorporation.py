@@ -75,7 +75,7 @@ def paste_object(
         cameras = visibility.cameras[::2]
         shares = regions.visible_shares(pasted(scale), cameras, labels, near=visibility.near)
         scale *= np.clip(np.sqrt(size / max(regions.median_visible_share(shares), 1e-6)), 0.5, 2)
-    what = f"an object of {len(donor):,} Gaussians stood into it, turned by {angle:.0f} degrees"
+    what = f"an object of {len(donor):,} Gaussians put into it, turned by {angle:.0f} degrees"
     return regions.ProposedEdit(pasted(scale), labels, what)
 
 

@@ -65,6 +65,7 @@ def simulate(
     Shares of views are exact up to rounding; which views fail is random. Truth and decoy, an
     authentic region that is flagged, are masks (V, H, W). ValueError if a needed decoy is missing.
     """
+    truth, decoy = np.asarray(truth, bool), None if decoy is None else np.asarray(decoy, bool)
     if truth.ndim != 3:
         raise ValueError(f"truth must have shape (V, H, W), got {truth.shape}")
     if decoy is None and failures.decoy > 0:
@@ -89,6 +90,7 @@ def decoy_labels(gaussians: Gaussians, labels: np.ndarray, *, seed: int) -> np.n
     object, where its cameras look; of a few random places, the one with most Gaussians is taken.
     If nothing is tampered, or no opaque Gaussian lies apart from the object, raises ValueError.
     """
+    labels = np.asarray(labels, bool)
     if not labels.any():
         raise ValueError("labels mark no Gaussian, so there is no object to match in size")
     means = np.asarray(gaussians.means)

@@ -10,6 +10,9 @@ from pathlib import Path
 import jax
 import platformdirs
 
+from gsc_jax.io.files import atomic
+from gsc_jax.scene import InputError
+
 MIN_SECONDS = 0.1
 """Shortest compilation that is stored: reading a file takes a few milliseconds."""
 
@@ -22,16 +25,22 @@ def cache_folder() -> Path:
 def seal(text: str) -> str:
     """Authentication code of a text, which nobody else can make: its key is a secret of this user.
 
-    Where the cache folder cannot be written, each call has another key, so that no seal is valid.
+    Where the cache folder cannot be written, the seals of a process are only valid in it.
     """
-    file, new = cache_folder() / "secret", secrets.token_bytes(32)
-    with contextlib.suppress(OSError):
-        file.parent.mkdir(parents=True, exist_ok=True)
-        private = functools.partial(os.open, mode=0o600)
-        with contextlib.suppress(FileExistsError), open(file, "xb", opener=private) as stream:
-            stream.write(new)
-        new = file.read_bytes()
-    return hmac.new(new, os.fsencode(text), "blake2b").hexdigest()[:32]
+    return hmac.new(_secret(cache_folder()), os.fsencode(text), "blake2b").hexdigest()[:32]
+
+
+@functools.cache  # where it cannot be kept, it is drawn once for a process
+def _secret(folder: Path) -> bytes:
+    file, secret = folder / "secret", secrets.token_bytes(32)
+    with contextlib.suppress(OSError, InputError):
+        # Shorter if a run was killed while it wrote the file.
+        if not file.exists() or file.stat().st_size != len(secret):
+            with atomic(file) as temporary:
+                temporary.touch(mode=0o600)
+                temporary.write_bytes(secret)
+        secret = file.read_bytes()
+    return secret
 
 
 def enable_compilation_cache(folder: Path | str) -> None:

@@ -179,9 +179,7 @@ def _extremes(
 def _format(path: Path, ply: PlyData) -> str:
     if path.is_dir() or path.suffix.lower() in SUFFIXES:
         return "folder of a SOG" if path.is_dir() else path.suffix.lower()
-    with path.open("rb") as file:
-        header = file.read(MAX_HEADER_BYTES).partition(b"end_header")[0]
-    if b"\nproperty uint packed_position" in header:
+    if b"\nproperty uint packed_position" in _header(path):
         return ".compressed.ply"
     orders = {"<": "little", ">": "big"}
     return "ascii .ply" if ply.text else f"binary {orders.get(ply.byte_order, '')} endian .ply"
@@ -192,7 +190,13 @@ def _bytes_after(path: Path, ply: PlyData) -> int:
     properties = [prop for element in ply.elements for prop in element.properties]
     if any(isinstance(prop, PlyListProperty) for prop in properties):
         return 0
+    header = _header(path)
+    start = len(header) + len(b"\nend_header\n") + (b"\r\n" in header)
+    rows = sum(element.data.nbytes for element in ply.elements)
+    return max(path.stat().st_size - start - rows, 0)  # the lines of some headers end in CR
+
+
+def _header(path: Path) -> bytes:
+    """The header of a PLY, without its last line."""
     with path.open("rb") as file:
-        header, mark, _ = file.read(MAX_HEADER_BYTES).partition(b"\nend_header")
-    start = len(header) + len(mark) + 1 + (b"\r\n" in header)
-    return path.stat().st_size - start - sum(element.data.nbytes for element in ply.elements)
+        return file.read(MAX_HEADER_BYTES).partition(b"\nend_header")[0]

@@ -4,7 +4,6 @@ import contextlib
 import dataclasses
 import hashlib
 import tempfile
-import uuid
 from importlib.metadata import distributions
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,14 +17,14 @@ from gsc_jax.cli.options import Locate
 from gsc_jax.cli.outputs import planned_outputs, versions, write_report, write_results
 from gsc_jax.cli.ownership import refuse_foreign, refuse_overlap
 from gsc_jax.cli.report.wording import Located
-from gsc_jax.cli.staging import BY_CAMERA, FILES, replacing, views_of, writing_to
+from gsc_jax.cli.staging import BY_CAMERA, FILES, replacing, views_of
 from gsc_jax.estimators.protocol import Estimator, Prior
 from gsc_jax.evidence.detector import Detector
 from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.evidence.storage import ArrayStore
 from gsc_jax.forensics.contrast import contrasts
 from gsc_jax.io.cameras import camera_files
-from gsc_jax.io.files import content_bytes, content_digest, memory_limit
+from gsc_jax.io.files import content_bytes, content_digest, memory_limit, writing_to
 from gsc_jax.io.ply import PlyScene
 from gsc_jax.io.tables import read_table
 from gsc_jax.io.validation import shown
@@ -114,17 +113,11 @@ def locate_and_write(inputs: Inputs, *, prior: Prior | bool, monitor: Monitor) -
 
 
 def _identity(inputs: Inputs) -> str:
-    """Digest of all that determines the maps and the evidence of the views of a run."""
-    digest = hashlib.blake2b(digest_size=16)
-    for values in jax.tree.leaves((inputs.scene.gaussians, inputs.cameras)):
-        digest.update(np.ascontiguousarray(values).data)
-    views = [(camera.name, camera.width, camera.height) for camera in inputs.cameras]
-    # Without a fingerprint, nothing is known about the outputs of another run.
-    detector = getattr(inputs.detector, "fingerprint", uuid.uuid4().hex)
-    installed = {(package.name, package.version) for package in distributions()}
-    facts = views, detector, inputs.estimator.near, sorted(installed), sorted(versions().items())
-    digest.update(repr(facts).encode())
-    return digest.hexdigest()
+    """Digest of a command, its files, and all that is installed: with these, it can continue."""
+    installed = sorted({(package.name, package.version) for package in distributions()})
+    network = getattr(inputs.detector, "fingerprint", None)
+    facts = inputs.options, inputs.estimator, inputs.files, network, installed, versions()
+    return hashlib.blake2b(repr(facts).encode(), digest_size=16).hexdigest()
 
 
 def earlier_results(out: Path) -> str | None:

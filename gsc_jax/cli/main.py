@@ -7,7 +7,6 @@ stdout; progress and, at the end, warnings go to stderr.
 
 import argparse
 import contextlib
-import errno
 import functools
 import importlib.metadata
 import io
@@ -37,18 +36,13 @@ from gsc_jax.cli.tamper import run_tamper
 from gsc_jax.cli.verify import Verify, run_verify
 from gsc_jax.cli.viewer.server import run_view
 from gsc_jax.evidence.monitor import Monitor
-from gsc_jax.io.validation import printable, suggestion
+from gsc_jax.io.validation import naming, printable, suggestion
 from gsc_jax.render.up import AXES
 from gsc_jax.scene import InputError
 from gsc_jax.scene.parallel import compute_in_calling_thread
 
 Command = Locate | Scan | Render | Tamper | Evaluate | Check | Verify | View | Demo
 COMMANDS: dict[str, type] = {kind.__name__.lower(): kind for kind in get_args(Command)}
-ENVIRONMENT = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-ENVIRONMENT += (errno.ENAMETOOLONG, errno.ELOOP, errno.EMFILE, errno.ENFILE, errno.ENOMEM)
-ENVIRONMENT += (errno.EIO, errno.ESTALE)
-"""Numbers of errors of the machine: permissions, a full disk, limits, names, a failing device."""
-
 DESCRIPTION = """\
 Find the tampered Gaussians in a 3D Gaussian Splatting model (GS-Checker, in JAX).
 
@@ -77,6 +71,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
     command = None
     try:
+        if "" in argv:  # it would be the current folder
+            raise InputError("an argument is empty; is a variable of the shell not set?")
         command = parse(argv)
         _check_paths(command)
         _run(command)
@@ -84,9 +80,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _refuse(f"{error}{_origin(command, argv, str(error))}")
     except BrokenPipeError:  # the reader of stdout, such as `head`, has closed it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    except OSError as error:
-        if not _is_outside(error, command):
-            raise
+    except OSError as error:  # nearly always of the machine: permissions, limits, a failing device
         return _refuse(f"{error.filename or 'a file'}: {error.strerror or error}")
     return 0
 
@@ -206,17 +200,6 @@ def _origin(command: Command | None, argv: Sequence[str], error: str) -> str:
     return f" (given in {command.config}, whose paths are relative to the current folder)"
 
 
-def _is_outside(error: OSError, command: Command | None) -> bool:
-    """Whether an error comes from the machine or from an input path, and not from this program."""
-    if error.errno in ENVIRONMENT:
-        return True
-    if command is None or not isinstance(error.filename, str | bytes):
-        return False
-    place = Path(os.fsdecode(error.filename)).absolute()
-    given = [path.absolute() for path in _paths(command) if path != getattr(command, "out", None)]
-    return any(place.is_relative_to(path) for path in given)
-
-
 def _paths(command: Command) -> list[Path]:
     given = [value if isinstance(value, tuple) else (value,) for value in vars(command).values()]
     return [value for values in given for value in values if isinstance(value, Path)]
@@ -225,13 +208,8 @@ def _paths(command: Command) -> list[Path]:
 def _check_paths(command: Command) -> None:
     """Refuse paths that no file can have, before they are used."""
     for path in _paths(command):
-        try:
-            path.stat()
-        except ValueError as error:
-            raise InputError(f"{path}: no file can have this name ({error}); rename it") from error
-        except OSError as error:
-            if error.errno in (errno.ENAMETOOLONG, errno.ELOOP):
-                raise InputError(f"{path}: {error.strerror}; give another path") from error
+        with naming(path, errors=ValueError, remedy="; no file can have this name, rename it"):
+            os.path.lexists(path)
 
 
 def _say(line: str) -> None:

@@ -52,7 +52,7 @@ def contact_sheet(
     figure.subplots_adjust(**edges, wspace=0.01, hspace=0.01)
     table = figure.subplots(len(rows), len(titles), squeeze=False)
     for axes_row, (label, pictures) in zip(table, rows.items(), strict=True):
-        axes_row[0].set_ylabel(label, fontsize=8)
+        axes_row[0].set_ylabel(label, fontsize=8, parse_math=False)  # two "$" are no formula
         for axes, picture in zip(axes_row, pictures, strict=True):
             axes.imshow(np.asarray(picture, np.float32), cmap="gray", vmin=0, vmax=1)
             axes.set(xticks=[], yticks=[])

@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import logging
+import signal
 import socket
 from collections import Counter
 from collections.abc import Iterator
@@ -12,9 +13,18 @@ from typing import Annotated, Any
 import tyro
 
 from gsc_jax.cli.cache import cache_folder
+from gsc_jax.cli.detector_choice import (
+    NATIVE,
+    NONE,
+    configured_estimator,
+    open_detector,
+    uses_attributes,
+    with_spec,
+)
 from gsc_jax.cli.options import Locate, arg
 from gsc_jax.cli.ownership import UNFINISHED, refuse_blocked, refuse_foreign_file, refuse_overlap
 from gsc_jax.cli.report.wording import share
+from gsc_jax.cli.scene_input import check_numbers
 from gsc_jax.cli.staging import locked
 from gsc_jax.collection.manifest import read_manifest
 from gsc_jax.collection.page import MARK, collection_page
@@ -24,6 +34,7 @@ from gsc_jax.collection.settings import ScanSettings
 from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.io.files import atomic
 from gsc_jax.io.validation import reported
+from gsc_jax.scene import InputError
 from gsc_jax.scene.parallel import usable_cores
 
 PAGE, RANKED = "collection.html", 20
@@ -80,11 +91,18 @@ def run_scan(options: Scan, *, monitor: Monitor) -> tuple[list[str], list[str]]:
     refuse_overlap(out, [options.scene], written=(PAGE, "scenes", "reports"))
     refuse_blocked(out, [PAGE, "scenes/any", "reports/any", f"{UNFINISHED}/any"])
     refuse_foreign_file(out / PAGE, MARK)
+    check_numbers(options)
+    masked = options.masks is not None or any(entry.get("masks") for entry in entries)
+    attributes = uses_attributes(options, configured_estimator(options))
+    open_detector(dataclasses.replace(options, masks=None), attributes=attributes or masked)
     settings = _settings(options)
     if options.dry_run:
         return [f"Dry run: {len(entries):,} scenes, configuration {settings.digest()[:16]}."], []
     with locked(out / UNFINISHED), _connected(ray, options):
         cores = int(ray.cluster_resources().get("CPU", 1))
+        most = max(int(node["Resources"].get("CPU", 0)) for node in ray.nodes())
+        if options.cpus > most:  # Ray would wait for such a machine
+            raise InputError(f"--cpus {options.cpus}: no machine has more than {most} cores")
         workers = options.workers or max(cores // options.cpus, 1)
         settings = dataclasses.replace(settings, workers=min(workers, len(entries)))
         logging.getLogger("ray.data").setLevel(logging.ERROR)
@@ -100,15 +118,17 @@ def run_scan(options: Scan, *, monitor: Monitor) -> tuple[list[str], list[str]]:
             temporary.write_text(collection_page(rows), encoding="utf-8", errors="backslashreplace")
     with contextlib.suppress(OSError):
         (out / UNFINISHED).rmdir()
-    ids = {entry["id"] for entry in entries}
+    ids = {row["id"] for row in done}
     lines = _summary([row for row in rows if row["id"] in ids], done, options, monitor)
     return [*lines, f"page     {out / PAGE}, all {len(rows):,} scenes of the folder"], []
 
 
 def _settings(options: Scan) -> ScanSettings:
-    command = {field.name: getattr(options, field.name) for field in dataclasses.fields(Locate)}
+    command = {x.name: getattr(with_spec(options), x.name) for x in dataclasses.fields(Locate)}
     command |= {k: v.absolute() for k, v in command.items() if isinstance(v, Path)}
-    command["detector"] = tuple(p.absolute() if p.exists() else p for p in options.detector)
+    command["detector"] = tuple(
+        p if p in (NATIVE, NONE) else p.absolute() for p in options.detector
+    )
     return ScanSettings(
         command={k: v for k, v in command.items() if k not in ("scene", "out", "memory")},
         out=options.out.absolute(),
@@ -131,7 +151,9 @@ def _connected(ray: Any, options: Scan) -> Iterator[None]:
     cores = (options.workers or 0) * options.cpus or len(usable_cores())
     local = {"address": "local", "num_cpus": cores, "include_dashboard": False}
     cluster = {"address": options.address} if options.address else local
+    handler = signal.getsignal(signal.SIGTERM)
     ray.init(**cluster, log_to_driver=False, logging_level=logging.ERROR)
+    signal.signal(signal.SIGTERM, handler)  # Ray's own would end the process without a word
     try:
         yield
     finally:
@@ -148,7 +170,7 @@ def _summary(rows: list[Row], done: list[Row], options: Scan, monitor: Monitor) 
         copy = f" (copy of {row['duplicate_of']})" if row["duplicate_of"] else ""
         traces = f" [{', '.join(row['traces'])}]" if row["traces"] else ""
         lines.append(f"{cells} {row['gaussians']:>11,}  {row['id']}{traces}{copy}")
-    counts = Counter(row["status"] for row in done)
+    counts = Counter("failed" if row["error_class"] else row["status"] for row in done)
     shown = ", ".join(f"{number:,} {status}" for status, number in sorted(counts.items()))
     lines.append(f"scenes   {len(rows):,} ({shown}) in {monitor.elapsed():.1f} s")
     failed = [row for row in rows if row["error_class"]]

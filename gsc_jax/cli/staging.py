@@ -19,7 +19,7 @@ import filelock
 
 from gsc_jax.cli import ownership
 from gsc_jax.cli.ownership import JOURNAL, UNFINISHED
-from gsc_jax.io.files import content_digest
+from gsc_jax.io.files import atomic, content_digest, writing_to
 from gsc_jax.scene import InputError
 
 LOCK, NEW, VIEWS, IDENTITY = "lock", "new", "views", "views.txt"
@@ -106,8 +106,9 @@ def locked(work: Path) -> Iterator[None]:
     try:
         yield
     finally:
-        if not any(path.name != LOCK for path in work.iterdir()):
-            (work / LOCK).unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # somebody removed the folder
+            if not any(path.name != LOCK for path in work.iterdir()):
+                (work / LOCK).unlink(missing_ok=True)
         lock.release()
 
 
@@ -122,7 +123,8 @@ def _begin(work: Path, out: Path, identity: str | None) -> None:
     if not known.is_file() or not hmac.compare_digest(known.read_bytes(), content):
         if (work / VIEWS).exists():
             shutil.rmtree(work / VIEWS)
-        _write(known, content)
+        with atomic(known) as temporary:
+            temporary.write_bytes(content)
 
 
 def _commit(work: Path, out: Path, report: str) -> None:
@@ -143,7 +145,9 @@ def _commit(work: Path, out: Path, report: str) -> None:
     removed = [*reversed(last), *(name for name in old if ownership.is_output(out, name, digests))]
     if "result.json" in digests and ownership.has_mark(out / EVALUATION, EVALUATION_MARK):
         removed.append(EVALUATION)
-    _write(work / JOURNAL, ownership.sealed(out, json.dumps({"moved": moved, "removed": removed})))
+    with atomic(work / JOURNAL) as temporary:
+        text = json.dumps({"moved": moved, "removed": removed})
+        temporary.write_bytes(ownership.sealed(out, text))
     _publish(work, out)
 
 
@@ -171,20 +175,3 @@ def _end(work: Path, out: Path) -> None:
         shutil.rmtree(work / NEW, ignore_errors=True)
         if not (work / VIEWS).exists():
             (work / IDENTITY).unlink(missing_ok=True)
-
-
-def _write(path: Path, content: bytes) -> None:
-    partial = path.with_suffix(".part")
-    partial.unlink(missing_ok=True)  # opening a pipe of this name would block
-    partial.write_bytes(content)
-    partial.replace(path)
-
-
-@contextlib.contextmanager
-def writing_to(out: Path) -> Iterator[None]:
-    """Turn errors of the file system into an InputError that names the folder of results."""
-    try:
-        yield
-    except OSError as error:
-        reason = error.strerror or error
-        raise InputError(f"{out}: cannot be written to ({reason}); choose another place") from error

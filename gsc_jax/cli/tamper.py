@@ -97,15 +97,21 @@ def _write(
     folder: Path, options: Tamper, edited: Tampered, cameras: Sequence[Camera], monitor: Monitor
 ) -> None:
     """Write the scene, the truth and the masks of the simulated detector."""
-    gaussians, names = jax.device_put(edited.gaussians), [camera.name for camera in cameras]
+    gaussians = jax.device_put(edited.gaussians)
+    largest = max(c.height for c in cameras), max(c.width for c in cameras)
 
     def masks(labels: np.ndarray, stage: str) -> np.ndarray:
-        views = monitor.track(stage, cameras, len(cameras))
-        return np.stack([truth_mask(gaussians, c, labels, near=options.near) for c in views])
+        stacked = np.zeros((len(cameras), *largest), bool)  # views of any size, at the top left
+        for mask, c in zip(stacked, monitor.track(stage, cameras, len(cameras)), strict=True):
+            mask[: c.height, : c.width] = truth_mask(gaussians, c, labels, near=options.near)
+        return stacked
+
+    def by_name(stacked: np.ndarray) -> dict[str, np.ndarray]:
+        return {c.name: m[: c.height, : c.width] for c, m in zip(cameras, stacked, strict=True)}
 
     truth = masks(edited.labels, "truth")
     write_scene(folder, edited.gaussians, cameras, edited.labels)
-    write_views(folder / "truth", dict(zip(names, truth, strict=True)), write_mask)
+    write_views(folder / "truth", by_name(truth), write_mask)
     if options.masks != "none":
         failures, decoy = REGIMES[options.masks], None
         if failures.decoy:
@@ -113,7 +119,7 @@ def _write(
                 labels = decoy_labels(edited.gaussians, edited.labels, seed=options.seed)
             decoy = masks(labels, "decoy")
         maps = simulate(truth, decoy, seed=options.seed, failures=failures)
-        write_views(folder / "masks", dict(zip(names, maps, strict=True)), write_probability)
+        write_views(folder / "masks", by_name(maps), write_probability)
 
 
 def write_scene(

@@ -34,13 +34,16 @@ def collection_page(rows: Sequence[Row]) -> str:
         errors=Counter(row["error_class"] for row in rows if row["error_class"]).most_common(),
         traces=Counter(name for row in rows for name in row["traces"] or ()).most_common(),
         data=[
-            [*(_shown(row[name]) for name in SHOWN), outcome(row["scene_probability"])]
+            [*(_shown(row, name) for name in SHOWN), outcome(row["scene_probability"])]
             for row in rows
         ],
     )
 
 
-def _shown(value: object) -> object:
+def _shown(row: Row, name: str) -> object:
+    value = row[name]
     if isinstance(value, list):
         return " ".join(value)
+    if name == "error" and value:  # its beginning is in the column of the scene, too
+        return value.removeprefix(f"{row['path']}: ")
     return float(f"{value:.4g}") if isinstance(value, float) else value

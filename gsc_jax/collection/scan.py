@@ -19,8 +19,8 @@ def scan(dataset: "Dataset", *, settings: ScanSettings | None = None) -> "Datase
 
     Args:
         dataset: A row per scene: `path`, a path or an address that fsspec opens; optionally `id`,
-            `cameras` and `masks`; other columns are kept. A block is the unit of work of Ray:
-            `dataset.repartition` to blocks of few rows.
+            `cameras` and `masks`; other columns are kept as text. A block is the unit of work of
+            Ray: `dataset.repartition` to blocks of few rows.
         settings: Settings of the scan.
 
     Returns:

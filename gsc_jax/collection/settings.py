@@ -11,6 +11,7 @@ from typing import Any
 
 from gsc_jax import forensics
 from gsc_jax.cli.outputs import PACKAGES, jsonable
+from gsc_jax.detectors.session import external_files
 from gsc_jax.io.files import GIB, content_digest, memory_limit
 from gsc_jax.scene import InputError
 
@@ -55,9 +56,12 @@ class ScanSettings:
         options = {k: v for k, v in self.command.items() if k not in WITHOUT_EFFECT}
         used = [*options.get("detector", ()), options.get("spec"), self.command.get("config")]
         used.append(Path(forensics.__file__).with_name("classifier.npz"))
+        files = [Path(path) for path in used if path and Path(path).exists()]
+        models = [path for path in files if path.is_file() and path.stat().st_size]
+        files += [tensors for path in models for tensors in external_files(path)]
         facts = {
             "options": jsonable({k: v for k, v in options.items() if v is not None}),
-            "files": [content_digest(Path(p)) for p in used if p and Path(p).exists()],
+            "files": [content_digest(path) for path in files],
             "versions": {name: importlib.metadata.version(name) for name in PACKAGES},
         }
         return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()

@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 
 from gsc_jax.cli.cache import enable_compilation_cache
 from gsc_jax.cli.options import Locate
+from gsc_jax.cli.outputs import jsonable
 from gsc_jax.collection.judge import judge
 from gsc_jax.collection.manifest import PLACES
 from gsc_jax.collection.record import Row, complete, write_row
@@ -96,8 +97,9 @@ class SceneWorker:
 
     def __call__(self, entry: Row) -> Row:
         """The row of a scene, which is written to the folder of results if there is one."""
-        row = {**entry, "id": entry.get("id") or entry["path"], "status": "judged"}
-        row |= {"key": "", "attempts": 1, "configuration": self._configuration}  # not read yet
+        row = jsonable({k: None if v is None else str(v) for k, v in entry.items()})
+        row |= {"id": row.get("id") or row["path"], "status": "judged", "key": "", "attempts": 1}
+        row["configuration"] = self._configuration
         row["version"] = importlib.metadata.version("gsc_jax")
         with tempfile.TemporaryDirectory(prefix="gsc-jax-") as folder:
             try:
@@ -107,7 +109,7 @@ class SceneWorker:
                 row |= _failure(error, entry, type(error).__name__)
             else:
                 row |= self._claimed(row, places)
-        row = complete(row)
+        row = complete(jsonable(row))
         if self._settings.out is not None and row["status"] != "finished":
             write_row(self._settings.out, row)
         return row

@@ -67,17 +67,18 @@ class CachedDetector:
         with self._failing_softly():
             self._store.put(MAP, name, probability)
             self._store.put(DIAGNOSTICS, name, np.frombuffer(counts, np.uint8))
-            files = [(path.stat(), path) for path in self.folder.glob("*.npy")]
-            files.sort(key=lambda entry: -entry[0].st_mtime_ns)
-            sizes = np.cumsum([stat.st_size for stat, _ in files])
-            for (_, path), size in zip(files, sizes, strict=True):
-                if size > self._max_bytes:
-                    path.unlink(missing_ok=True)
+            with contextlib.suppress(FileNotFoundError):  # another run removes files, too
+                files = [(path.stat(), path) for path in self.folder.glob("*.npy")]
+                files.sort(key=lambda entry: -entry[0].st_mtime_ns)
+                sizes = np.cumsum([stat.st_size for stat, _ in files])
+                for (_, path), size in zip(files, sizes, strict=True):
+                    if size > self._max_bytes:
+                        path.unlink(missing_ok=True)
         return probability
 
     @property
     def diagnostics(self) -> dict[str, Any]:
-        """Those of the detector."""
+        """The `diagnostics` of the detector, by camera name."""
         return getattr(self.detector, "diagnostics", {})
 
     @property

@@ -12,7 +12,6 @@ The most exact match counts, two equally exact ones are an error. Suffixes have 
 
 import contextlib
 import functools
-import hashlib
 from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,7 +20,6 @@ import numpy as np
 
 from gsc_jax.evidence.detector import same_view
 from gsc_jax.io import masks
-from gsc_jax.io.files import content_digest
 from gsc_jax.io.validation import naming
 from gsc_jax.scene import Camera, InputError
 
@@ -50,12 +48,6 @@ class FolderDetector:
             for kind, name in (("stem", stem), ("bare", _without_suffixes(stem))):
                 self._index[kind, name].append(file)
                 self._index[f"{kind} base", name.rpartition("/")[2]].append(file)
-
-    @property
-    def fingerprint(self) -> str:
-        """Digest of the names and contents of the files."""
-        contents = [(file, content_digest(self.path / file)) for file in self._files]
-        return hashlib.blake2b(repr(contents).encode(), digest_size=16).hexdigest()
 
     def select(self, cameras: Sequence[Camera]) -> list[Camera]:
         """Cameras that have a mask, in their order; InputError if there is none."""

@@ -17,10 +17,8 @@ from gsc_jax.detectors.network import Network, NetworkDetector, Shape, TensorSpe
 from gsc_jax.detectors.preprocessing import Size, crop_map, fit_image, remap_threshold, to_tensor
 from gsc_jax.detectors.session import CPU, fingerprint
 from gsc_jax.detectors.specs import PLAIN, PRESETS, OnnxSpec, preset
+from gsc_jax.evidence.detector import ROUNDING
 from gsc_jax.scene import InputError
-
-PROBABILITY_TOLERANCE = 1e-3
-"""Accepted excess over [0, 1], about the rounding of float16 near 1 (machine epsilon 9.8e-4)."""
 
 
 class OnnxDetector(NetworkDetector):
@@ -170,7 +168,7 @@ class OnnxDetector(NetworkDetector):
         counts = {"not_finite": int((~finite).sum()), "squashed": int(squashed)}
         probability = np.where(finite, probability, np.float32(self.spec.threshold))
         low, high = float(probability.min()), float(probability.max())
-        if low < -PROBABILITY_TOLERANCE or high > 1 + PROBABILITY_TOLERANCE:
+        if low < -ROUNDING or high > 1 + ROUNDING:
             raise InputError(
                 f"{self.path}: output {self._output.name!r} spans {low:.3g} to "
                 f"{high:.3g}, expected probabilities; set activation to sigmoid or softmax"

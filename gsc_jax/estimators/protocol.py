@@ -30,7 +30,7 @@ RANGES: Mapping[str, tuple[float, float]] = {
     "prior_weight": (0.0, 1.0),
 }
 """Smallest and largest value of the fields that every estimator has; whole numbers for integers."""
-NONE_FLAGGED = "All masks are empty."
+NONE_FLAGGED = "All masks are empty: no probability is above 0.5."
 ALL_FLAGGED = "The masks cover everything in every view."
 
 
@@ -84,7 +84,7 @@ class Prior:
             )
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Finding:
     """Scores and labels of N Gaussians.
 

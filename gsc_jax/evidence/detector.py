@@ -12,6 +12,8 @@ import numpy as np
 
 from gsc_jax.scene import Camera, InputError
 
+ROUNDING = 1e-3
+"""Accepted excess over [0, 1], about the rounding of float16 near 1 (machine epsilon 9.8e-4)."""
 LEAST_SIDE = 4
 """Least side of a map in pixels, if the view is not smaller: fewer are a score, not a map."""
 ASPECT_TOLERANCE = 0.1
@@ -46,7 +48,7 @@ def fit_to_view(probability: Any, camera: Camera) -> np.ndarray:
     The map (h, w), or with axes of length 1, is boolean or in [0, 1]; others raise InputError.
     """
     output = _as_map(probability, camera)
-    if not (output.min() >= 0 and output.max() <= 1):
+    if not (output.min() >= -ROUNDING and output.max() <= 1 + ROUNDING):
         unknown = np.isnan(output).sum()
         found = f"{output.min():.4g} to {output.max():.4g}, expected 0 to 1. Apply its sigmoid or"
         raise InputError(
@@ -83,7 +85,9 @@ def _as_map(probability: Any, camera: Camera) -> np.ndarray:
             f"The detector's output for view {camera.name!r} is a {type(probability).__name__}, "
             "expected an array of probabilities, (height, width)."
         ) from error
-    output = output.squeeze() if output.ndim > 2 else output
+    while output.ndim > 2 and 1 in output.shape:  # one by one: a view may be one pixel wide
+        last = output.shape[0] > 1 and output.shape[-1] == 1
+        output = output.squeeze(-1 if last else output.shape.index(1))
     least = min(LEAST_SIDE, camera.height, camera.width)
     if output.ndim != 2 or min(output.shape) < least:
         raise InputError(

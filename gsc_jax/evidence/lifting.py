@@ -149,7 +149,7 @@ def sparse(evidence: Evidence) -> np.ndarray:
 
     Their rows, ascending, and the bits of total and of tampered: 12 bytes per visible Gaussian.
     """
-    total, tampered = np.asarray(evidence.total), np.asarray(evidence.tampered)
+    total, tampered = (np.asarray(x, np.float32) for x in (evidence.total, evidence.tampered))
     rows = np.flatnonzero(total).astype(np.int32)
     return np.stack([rows, total[rows].view(np.int32), tampered[rows].view(np.int32)])
 

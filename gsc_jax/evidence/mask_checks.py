@@ -120,7 +120,7 @@ def agreement(evidence: EvidenceOfViews) -> float | None:
         view = evidence.view(index)
         weight, own = np.asarray(view.total, float), np.asarray(view.tampered, float)
         rest = total - weight
-        if not (both := (weight > 0) & (rest > 0)).any():
+        if (both := (weight > 0) & (rest > 0)).sum() < 2:
             continue
         here, there = own[both] / weight[both], (tampered - own)[both] / rest[both]
         covariance = np.cov(here, there, aweights=weight[both])

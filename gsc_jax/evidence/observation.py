@@ -17,8 +17,8 @@ from gsc_jax.evidence.detector import Detector, as_detector, fit_to_view
 from gsc_jax.evidence.lifting import EvidenceOfViews, SparseEvidence, sparse, view_evidence
 from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.evidence.storage import ArrayStore, ByView
-from gsc_jax.render.projection import NEAR, project, project_centers
-from gsc_jax.render.tiles import View, bin_view
+from gsc_jax.render.projection import NEAR, project_centers
+from gsc_jax.render.tiles import View, make_view
 from gsc_jax.scene import Camera, Gaussians, InputError
 from gsc_jax.scene.camera import check_camera
 from gsc_jax.scene.gaussians import filled_up
@@ -95,8 +95,12 @@ def observe(
     _restore_diagnostics(detector, names, store)
 
     def prepare(camera: Camera) -> tuple[View, np.ndarray | None]:
-        image = detector.needs_image and not store.has(MAP, camera.name)
-        return _prepare(filled, camera, monitor, near=near, image=image)
+        with monitor.stage("project"):
+            view = make_view(filled, camera, near=near)
+        if not detector.needs_image or store.has(MAP, camera.name):
+            return view, None
+        with monitor.stage("render"):
+            return view, np.asarray(render_view(view, filled, camera)[0])
 
     def detect() -> Iterator[tuple[Camera, View]]:
         # The detector runs in this thread only, since a user's function need not be thread-safe.
@@ -124,21 +128,6 @@ def observe(
         masks=ByView(names, lambda name: store.get(MAP, name) > 0.5),
         probabilities=ByView(names, lambda name: np.array(store.get(MAP, name))),
     )
-
-
-def _prepare(
-    gaussians: Gaussians, camera: Camera, monitor: Monitor, *, near: float, image: bool
-) -> tuple[View, np.ndarray | None]:
-    """Project and bin a view, and render it for the detector, (H, W, 3), if it needs that."""
-    with jax.ensure_compile_time_eval():  # as `make_view`: JAX compiles once for both
-        with monitor.stage("project"):
-            splats = jax.block_until_ready(project(gaussians, camera, near=near))
-        with monitor.stage("bin"):
-            view = bin_view(splats, camera)
-    if not image:
-        return view, None
-    with monitor.stage("render"):
-        return view, np.asarray(render_view(view, gaussians, camera)[0])
 
 
 def check_cameras(cameras: Camera | Iterable[Camera]) -> list[Camera]:

@@ -66,17 +66,17 @@ class ArrayStore:
                 return
         try:
             folder = self._open()
-            partial = folder / f"{key}.part"
-            with partial.open("w+b") as file:
+            # Runs that share a folder, such as a cache, may write one array at a time.
+            with tempfile.NamedTemporaryFile(dir=folder, suffix=".npy", delete=False) as file:
                 np.save(file, array)
                 file.seek(0)
                 file.write(hashlib.file_digest(file, "blake2b").digest())
-            partial.replace(folder / f"{key}.npy")
+            Path(file.name).replace(folder / f"{key}.npy")
         except OSError as error:
             raise InputError(
-                f"{self._folder or tempfile.gettempdir()}: no space for the evidence and masks of "
-                f"the views ({error.strerror or error}); free some, set TMPDIR or --out to another "
-                "disk, or use fewer views"
+                f"{self._folder or tempfile.gettempdir()}: cannot store the evidence and masks of "
+                f"the views ({error.strerror or error}); free space, set TMPDIR or --out to "
+                "another disk, or use fewer views"
             ) from error
 
     def release(self, kind: str) -> None:

@@ -16,6 +16,7 @@ from gsc_jax.io.tables import read_table
 from gsc_jax.io.transforms import read_transforms
 from gsc_jax.io.validation import shown
 from gsc_jax.scene import Camera, InputError
+from gsc_jax.scene.camera import check_camera
 
 OTHER_FILES = ("transforms.json", "transforms_train.json", "views.json")
 COLMAP_FOLDERS = (".", "sparse/0", "0", "sparse", "colmap/sparse/0")
@@ -54,6 +55,7 @@ def save_cameras(path: str | Path, cameras: Sequence[Camera]) -> None:
             cameras, two have the same name, or one has a pose or intrinsics that are invalid.
     """
     try:
+        any(map(check_camera, cameras))
         items = [inria_item(camera, index) for index, camera in enumerate(cameras)]
         _checked(read_inria(items, Path(path)), path)
     except ValueError as error:

@@ -26,15 +26,23 @@ def atomic(path: str | Path) -> Iterator[Path]:
     # Not longer than the name itself needs to be: file systems limit names to 255 bytes.
     temporary = path.with_name(f".{uuid.uuid4().hex[:12]}{path.suffix}")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        yield temporary
-        temporary.replace(path)
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise InputError(f"{path}: cannot be written ({reason}); choose another place") from error
+        with writing_to(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            yield temporary
+            temporary.replace(path)
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def writing_to(place: Path) -> Iterator[None]:
+    """Turn errors of the file system into an InputError that names a file or folder."""
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or error
+        raise InputError(f"{place}: cannot be written ({reason}); choose another place") from error
 
 
 def existing_file(path: str | Path, *, expected: str) -> Path:

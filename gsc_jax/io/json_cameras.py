@@ -135,8 +135,8 @@ def inria_item(camera: Camera, index: int) -> dict[str, Any]:
     item = {
         "id": index,
         "img_name": camera.name,
-        "width": camera.width,
-        "height": camera.height,
+        "width": int(camera.width),
+        "height": int(camera.height),
         # Files round rotations, so that the transpose is not exactly the inverse.
         "position": (-np.linalg.solve(rotation, translation)).tolist(),
         "rotation": rotation.T.tolist(),

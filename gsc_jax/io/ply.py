@@ -67,15 +67,15 @@ class PlyScene:
         count = sum(self.dropped.values())
         return f"left out {count} of {self.total} Gaussians ({reasons})" if count else ""
 
-    def expand(self, values: Array, *, fill: float = 0) -> np.ndarray:
+    def expand(self, values: Array) -> np.ndarray:
         """Distribute values per Gaussian, shape (N, ...), to the rows of the file, (total, ...).
 
-        Excluded rows get `fill`; another number of values raises ValueError.
+        Excluded rows get 0; another number of values raises ValueError.
         """
         values = np.asarray(values)
         if values.shape[:1] != self.rows.shape:
             raise ValueError(f"expected {len(self.rows)} values, got shape {values.shape}")
-        expanded = np.full((self.total, *values.shape[1:]), fill, values.dtype)
+        expanded = np.zeros((self.total, *values.shape[1:]), values.dtype)
         expanded[self.rows] = values
         return expanded
 
@@ -207,6 +207,11 @@ def _check_header(path: Path, max_bytes: int | None) -> None:
         raise InputError(f"{path}: is packed; unpack it first: {tool} {shown(path.name)}")
     if not header.startswith(b"ply") or not end:
         raise ValueError(f"no header from ply to end_header in its first {MAX_HEADER_BYTES} bytes")
+    if foreign := next((line for line in header.splitlines() if not line.isascii()), None):
+        text = shown(foreign.decode("utf-8", "backslashreplace"))
+        raise InputError(
+            f"{path}: its header has a line that is not ASCII: {text}; remove the line"
+        )
     needed, rows = BYTES_PER_BYTE * size, 0
     number = BYTES_PER_NUMBER if header.split()[1:3] == [b"format", b"ascii"] else 0
     for words in map(bytes.split, header.splitlines()):

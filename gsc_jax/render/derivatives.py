@@ -62,7 +62,7 @@ def _moments(view: View, values: tuple[jax.Array, jax.Array, jax.Array]) -> jax.
 
         return walk(view, group, visit, (sums, rests[group[0]]))[0], None
 
-    sums = jnp.zeros((view.splats.shape[0], 6 + features.shape[1]))
+    sums = jnp.zeros((view.splats.shape[0], 6 + features.shape[1]), jnp.float32)
     return jax.lax.scan(gather, sums, groups(view))[0]
 
 

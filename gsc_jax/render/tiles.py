@@ -33,7 +33,7 @@ groups of 32 for three times as long."""
 
 
 @jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class View:
     """A scene projected and binned for a camera: all that W and its adjoint need.
 
@@ -61,13 +61,8 @@ class View:
     lockstep: int = dataclasses.field(metadata=STATIC)
 
     @property
-    def grid(self) -> tuple[int, int]:
-        """Rows and columns of tiles."""
-        return -(-self.height // TILE), -(-self.width // TILE)
-
-    @property
     def of_any_size(self) -> "View":
-        """The view without its image size and `grid`, so that sizes share compiled code."""
+        """The view without its image size, so that sizes share compiled code."""
         return dataclasses.replace(self, width=0, height=0)
 
 

@@ -84,7 +84,7 @@ def walk(view: View, group: tuple[Array, ...], visit: Callable, carry: Any) -> A
 
     def advance(state):
         step, transmittance, carry = state
-        place = step * CHUNK + jnp.arange(CHUNK)
+        place = step * CHUNK + jnp.arange(CHUNK, dtype=jnp.int32)
         listed = view.ids[starts[:, None] + place[None]]
         ids = jnp.where(place[None] < counts[:, None], listed, transparent)
         splats = view.splats[ids]
@@ -99,7 +99,7 @@ def walk(view: View, group: tuple[Array, ...], visit: Callable, carry: Any) -> A
         # A maximum is faster than `any` in XLA. The first list of a group is the longest.
         return (step * CHUNK < counts[0]) & (jnp.max(transmittance) >= MIN_TRANSMITTANCE)
 
-    start = (jnp.int32(0), jnp.ones(pixels.shape[:2]), carry)
+    start = (jnp.int32(0), jnp.ones(pixels.shape[:2], jnp.float32), carry)
     return jax.lax.while_loop(unfinished, advance, start)[2]
 
 
@@ -157,7 +157,7 @@ def in_row_major_order(parts: list[tuple[jax.Array, jax.Array]]) -> jax.Array:
     Padding has the number T, so that the result has T + 1 rows.
     """
     tiles, pixels = map(jnp.concatenate, zip(*parts, strict=True))
-    return jnp.zeros((len(pixels) + 1, *pixels.shape[1:])).at[tiles].set(pixels)
+    return jnp.zeros((len(pixels) + 1, *pixels.shape[1:]), jnp.float32).at[tiles].set(pixels)
 
 
 @functools.partial(jax.jit, static_argnums=1)

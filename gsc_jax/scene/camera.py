@@ -12,7 +12,7 @@ from gsc_jax.scene.pytree import STATIC
 
 
 @jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Camera:
     """A pinhole camera. Width, height and name are static, the rest are leaves.
 
@@ -79,6 +79,12 @@ def check_camera(camera: Camera) -> None:
             raise InputError(
                 f"{wanted} finite with the last row {last}, not transposed, got {values.tolist()}"
             )
+        linear = values[:3, :3].astype(float)
+        if abs(np.linalg.det(linear)) < 1e-9 * np.prod(np.linalg.norm(linear, axis=1)):
+            raise InputError(f"{wanted} invertible, got {values.tolist()}")
+        pinhole = np.allclose(values[[0, 1], [1, 0]], 0, atol=1e-4) and np.all(np.diag(values) > 0)
+        if name == "K" and not pinhole:
+            raise InputError(f"{wanted} without skew, focal lengths above 0, got {values.tolist()}")
 
 
 def intrinsics(focal: float, width: int, height: int) -> np.ndarray:

@@ -31,4 +31,4 @@ def pytree(cls: type[T]) -> type[T]:
     """Turn a class into an immutable dataclass that JAX treats as a pytree of its fields."""
     cls.__repr__ = short_repr
     declare: Any = chex.dataclass  # type checkers do not understand its own annotations
-    return declare(cls, frozen=True, kw_only=True, mappable_dataclass=False)
+    return declare(cls, frozen=True, eq=False, kw_only=True, mappable_dataclass=False)

@@ -235,9 +235,9 @@ def test_values_of_any_shape_are_distributed_to_the_rows_of_the_file(tmp_path):
     columns["x"][[1, 4]] = np.nan
     scene = read_ply(write_columns(tmp_path / "scene.ply", columns))
     values = np.arange(10).reshape(5, 2)
-    expanded = scene.expand(values, fill=-1)
+    expanded = scene.expand(values)
     assert expanded[[0, 2, 3, 5, 6]].tolist() == values.tolist()
-    assert expanded[[1, 4]].tolist() == [[-1, -1], [-1, -1]]
+    assert expanded[[1, 4]].tolist() == [[0, 0], [0, 0]]
     for count in (4, 6):
         with pytest.raises(ValueError, match="expected 5 values"):
             scene.expand(np.zeros(count))

@@ -30,9 +30,13 @@ class Located:
 
 
 RELIABILITY: dict[Reliability, tuple[str, str, str]] = {
-    "reliable": ("●", "reliable", "The view shows the edit, and the mask flags most of it."),
+    "reliable": ("●", "reliable", "The mask flags most of what is labelled in the view."),
     "inverted": ("◇", "inverted", "The mask flags everything except the edit; it is inverted."),
-    "uninformative": ("▽", "uninformative", "The mask does not flag most of the visible edit."),
+    "uninformative": (
+        "▽",
+        "uninformative",
+        "The mask does not flag most of what is labelled in it.",
+    ),
     "unseen": ("✕", "too little in view", "The view shows too little of the edit to judge a mask."),
 }
 """Sign, name and explanation of each reliability of a mask, the most useful first."""
@@ -65,8 +69,14 @@ COUNTS: dict[str, dict[Outcome, tuple[int, int]]] = {
     "masks": {"evidence": (3, 91), "inconclusive": (11, 12), "none": (46, 2)},
     "attributes": {"evidence": (0, 85), "inconclusive": (9, 52), "none": (85, 143)},
 }
-"""How many authentic and edited test scenes had each outcome: docs/beside_masks.csv (attributes
+"""How many authentic and edited test cases had each outcome: docs/beside_masks.csv (attributes
 beside masks, on scenes that nothing was trained on), docs/calibration.csv and docs/heldout.csv."""
+TESTED = {
+    "masks and attributes": "masks and attributes, in re-exported files of two scenes",
+    "masks": "simulated masks alone, of five scenes",
+    "attributes": "attributes, in re-exported files of five scenes and their captures",
+}
+"""What was tested, by the keys of `COUNTS`."""
 MIN_RATIO = 3
 """Ratio of the shares of edited and authentic scenes below which an outcome says little."""
 ROUNDED_SHARE = 0.0005
@@ -95,14 +105,19 @@ def headline(verdict: float | None, tampered: int) -> str:
     return "No Gaussian is labelled as tampered."
 
 
-def basis(masks: object, attributes: object) -> str:
-    """What a scene probability rests on, of what there is: a key of `COUNTS`."""
-    used = (("masks", masks), ("attributes", attributes))
-    return " and ".join(name for name, there in used if there) or "masks"
+def basis(verdict: float | None, masks: object, alone: float | None) -> str:
+    """What a scene probability rests on: a key of `COUNTS`.
+
+    `alone` is that of the attributes alone, if they were used. The scene probability equals it
+    where there are no masks, or where they are no evidence.
+    """
+    if masks and alone is not None and verdict != alone:
+        return "masks and attributes"
+    return "masks" if alone is None else "attributes"
 
 
 def meaning(verdict: float, *, basis: str, traced: object = False) -> str:
-    """State how many authentic and edited test scenes had this outcome when judged by that basis.
+    """State how many authentic and edited test cases had this outcome when judged by that basis.
 
     No test counts traces, on which a scene probability rests where any is found.
     """
@@ -117,10 +132,9 @@ def meaning(verdict: float, *, basis: str, traced: object = False) -> str:
     counts, totals = COUNTS[basis][found], list(map(sum, zip(*COUNTS[basis].values(), strict=True)))
     authentic, edited = (count / total for count, total in zip(counts, totals, strict=True))
     weak = max(authentic, edited) < MIN_RATIO * min(authentic, edited)
-    kind = "simulated masks alone" if basis == "masks" else f"{basis}, in re-exported files"
     return (
-        f"In tests of {kind}, {counts[0]} of {totals[0]} authentic and {counts[1]} of "
-        f"{totals[1]} edited scenes had this outcome"
+        f"In tests of {TESTED[basis]}, {counts[0]} of {totals[0]} authentic and {counts[1]} of "
+        f"{totals[1]} edited cases had this outcome"
         f"{': on its own, it says little about whether a scene was edited' if weak else ''}."
     )
 
@@ -194,7 +208,8 @@ def summary(located: Located, out: Path) -> list[str]:
         contradiction = conflict(result)
         masks, prior = result.probabilities, result.prior
         alone = f"; {percent(prior.verdict)} by the attributes alone" if masks and prior else ""
-        known = {"basis": basis(masks, prior), "traced": found_traces(result)}
+        rests_on = basis(verdict, masks, prior.verdict if prior else None)
+        known = {"basis": rests_on, "traced": found_traces(result)}
         findings = [
             *([contradiction] if contradiction else []),
             f"{headline(verdict, int(result.labels.sum()))} {findings[0]}",

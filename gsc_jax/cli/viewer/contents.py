@@ -128,6 +128,7 @@ def _sentences(results: Results) -> list[str]:
         return [labels]
     attributes = report.get("attributes") or {}
     traces, masks = attributes.get("traces", {}), report.get("judged_views")
-    meaning = wording.meaning(verdict, basis=wording.basis(masks, attributes), traced=traces)
+    basis = wording.basis(verdict, masks, attributes.get("verdict"))
+    meaning = wording.meaning(verdict, basis=basis, traced=traces)
     reason = f"The scene probability of an edit is {wording.percent(verdict)}. {meaning}"
     return [wording.headline(verdict, tampered), labels, reason, *traces.values()]

@@ -52,7 +52,7 @@ class RobustEstimator(Estimator):
         sample: Number of Gaussians to which the classes are fitted.
         half_weight: Weight in pixels at which a view counts one half.
         effective_pixels: Number of independent pixels that a full view counts in EM.
-        inversion: Whether masks may be inverted.
+        inversion: Whether masks may be inverted, if there is more than one.
         distractors: Whether authentic regions may be flagged consistently in some views.
         class_log_odds: Log odds between two classes from one full view that separates them.
         smoothing: Log odds from neighbours that all belong to one class; 0 disables smoothing.
@@ -110,10 +110,13 @@ class RobustEstimator(Estimator):
         self, evidence: EvidenceOfViews, means: Array, prior: Prior | None = None
     ) -> Finding:
         """As `estimate`, for evidence (V, N) and positions (N, D), of which a prior needs three."""
+        if prior is not None and len(prior.known) != (count := evidence.shape[1]):
+            raise ValueError(f"the prior has {len(prior.known)} Gaussians, expected {count}")
         prior = prior if self.uses_prior else None
         trivial, views = unanimous(evidence), float(evidence.shape[0])
         if trivial and (prior is None or evidence.all_flagged):
-            verdict = scene_probability(float(trivial.labels.any()), views)
+            # Masks that cover everything tell no edit from the rest.
+            verdict = 0.5 if evidence.all_flagged else scene_probability(0.0, views)
             return dataclasses.replace(trivial, verdict=verdict)
         lifted = self.from_masks(evidence, means, flagged=not trivial)
         agreed = lifted.probability > 0.5
@@ -190,7 +193,7 @@ class RobustEstimator(Estimator):
         return assign_roles(
             np.asarray(fit.classes.rates)[used],
             (np.asarray(fit.responsibilities)[used] * represents) @ seen.T,
-            inversion=self.inversion,
+            inversion=self.inversion and len(seen) > 1,  # one alone differs from no other
             distractors=self.distractors,
         )
 

@@ -95,12 +95,14 @@ def test_the_page_has_the_reason_and_the_reservation(results: Results):
         return " ".join(viewer_contents(changed, most=10)[0].sentences)
 
     trace = {"quantisation": "5 of 9 Gaussians have colours off the values."}
-    traced = sentences(attributes={"traces": trace})
+    traced = sentences(attributes={"verdict": 0.1, "traces": trace})
     assert "rests on a trace in the stored values" in traced
     assert trace["quantisation"] in traced
-    assert "In tests of attributes, in re-exported files" in sentences(attributes={"traces": {}})
+    assert "In tests of attributes, in re-exported files" in sentences(
+        attributes={"verdict": 0.1, "traces": {}}
+    )
     assert "smaller in 98% of the pairs" in sentences(contrasts={"size": 0.02})
-    both = sentences(attributes={"traces": {}}, judged_views=3)
+    both = sentences(attributes={"verdict": 0.1, "traces": {}}, judged_views=3)
     assert "In tests of masks and attributes" in both
     assert "In tests of simulated masks alone" in sentences(judged_views=3)
 

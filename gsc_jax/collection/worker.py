@@ -7,13 +7,13 @@ judges a scene, the other reads and identifies the next one, which is then in th
 
 import ctypes
 import hashlib
-import importlib.metadata
 import os
 import tempfile
 import threading
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -99,8 +99,7 @@ class SceneWorker:
         """The row of a scene, which is written to the folder of results if there is one."""
         row = jsonable({k: None if v is None else str(v) for k, v in entry.items()})
         row |= {"id": row.get("id") or row["path"], "status": "judged", "key": "", "attempts": 1}
-        row["configuration"] = self._configuration
-        row["version"] = importlib.metadata.version("gsc_jax")
+        row |= {"configuration": self._configuration, "version": metadata.version("gsc_jax")}
         with tempfile.TemporaryDirectory(prefix="gsc-jax-") as folder:
             try:
                 places = self._fetched(entry, Path(folder))

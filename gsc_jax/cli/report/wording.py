@@ -35,7 +35,7 @@ RELIABILITY: dict[Reliability, tuple[str, str, str]] = {
     "uninformative": (
         "▽",
         "uninformative",
-        "The mask does not flag most of what is labelled in it.",
+        "The mask does not flag most of what is labelled.",
     ),
     "unseen": ("✕", "too little in view", "The view shows too little of the edit to judge a mask."),
 }
@@ -71,12 +71,11 @@ COUNTS: dict[str, dict[Outcome, tuple[int, int]]] = {
 }
 """How many authentic and edited test cases had each outcome: docs/beside_masks.csv (attributes
 beside masks, on scenes that nothing was trained on), docs/calibration.csv and docs/heldout.csv."""
-TESTED = {
+TESTED = {  # by the keys of `COUNTS`
     "masks and attributes": "masks and attributes, in re-exported files of two scenes",
     "masks": "simulated masks alone, of five scenes",
     "attributes": "attributes, in re-exported files of five scenes and their captures",
 }
-"""What was tested, by the keys of `COUNTS`."""
 MIN_RATIO = 3
 """Ratio of the shares of edited and authentic scenes below which an outcome says little."""
 ROUNDED_SHARE = 0.0005

@@ -89,6 +89,45 @@ def test_one_flagged_view_of_many_is_outvoted_and_nothing_flips_sign(method):
 
 
 @EVERY_METHOD
+@pytest.mark.parametrize(
+    ("name", "value"), [("quats", 0.0), ("sh", np.nan), ("sh", 2e9), ("means", np.nan)]
+)
+def test_an_invalid_row_is_neither_seen_nor_labelled(method, name, value):
+    row = int(np.argmax(rendered_weight(SCENE) * TRUTH))
+    scene = with_row(SCENE, name, value, row=row)
+    result = locate(scene, cameras(), truths(), method=method, prior=False)
+    assert any("1 of 37 Gaussians have invalid values" in text for text in result.warnings)
+    assert (result.labels[row], result.tamper[row], result.seen[row]) == (False, 0, False)
+    assert result.labels.any()
+
+
+def rendered_weight(scene) -> np.ndarray:
+    return observe(scene, cameras(), truths()).evidence.weight
+
+
+def test_masks_that_cover_everything_are_no_evidence_of_an_edit():
+    assert locate(SCENE, cameras(), everywhere(1.0), prior=False).verdict == 0.5
+
+
+def test_nothing_is_labelled_where_masks_are_no_evidence_and_the_prior_sees_no_edit():
+    masks = dict.fromkeys(truths(), truths()["view_0"])  # the same pixels in every view
+    chance = np.full(len(TRUTH), 0.5)
+    prior = Prior(probability=chance, verdict=0.01, known=np.ones(len(TRUTH), bool))
+    result = locate(SCENE, cameras(), masks, prior=prior)
+    assert any("They are no evidence of an edit" in text for text in result.warnings)
+    assert result.verdict == 0.01
+    assert not result.labels.any()
+    assert not result.tamper.any()
+
+
+def test_a_single_mask_is_never_taken_for_inverted():
+    masks = {"view_0": truths()["view_0"] > 0.5}
+    masks["view_0"][:, 12:] = True  # more than half of what is visible
+    result = locate(SCENE, cameras(1), masks, prior=False)
+    assert "inverted" not in result.reliability.values()
+
+
+@EVERY_METHOD
 def test_a_huge_but_finite_row_never_becomes_nan(method):
     scene = with_row(SCENE, "means", [1e19, 0, 3], row=0)
     result = locate(scene, cameras(), truths(), method=method)
@@ -313,6 +352,23 @@ def test_a_mask_is_resized_as_a_probability_and_thresholded_once_strictly():
     half = fit_to_view(np.full((1, 2, 4), 0.5), view)
     assert not (half > 0.5).any()
     assert as_detector({"": half}).needs_image is False
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (40, 1), (1, 40)])
+@pytest.mark.parametrize("axes", [(), (0,), (-1,), (0, -1), (0, 1)])
+def test_further_axes_of_a_map_are_dropped_also_where_a_view_is_one_pixel_wide(shape, axes):
+    view = camera(shape[1], shape[0])
+    values = np.random.default_rng(0).random(shape).astype(np.float32)
+    output = np.expand_dims(values, axes) if axes else values
+    assert np.array_equal(fit_to_view(output, view), values)
+
+
+def test_a_probability_may_exceed_its_bounds_by_rounding():
+    view = camera(8, 8)
+    assert fit_to_view(np.full((8, 8), 1 + 1e-6), view).max() == 1
+    assert fit_to_view(np.full((8, 8), -1e-6), view).min() == 0
+    with pytest.raises(InputError, match="not a probability"):
+        fit_to_view(np.full((8, 8), 1.01), view)
 
 
 @needs_data

@@ -284,3 +284,7 @@ def test_errors_of_this_program_are_not_reported_as_bad_input(
     else:
         with pytest.raises(OSError, match=os.strerror(number)):
             run(*argv)
+
+
+def test_an_empty_argument_is_refused():
+    assert "an argument is empty" in refused("locate", "scene.ply", "--out", "")

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gsc_jax.cli.pictures import overlay
+from gsc_jax.cli.pictures import contact_sheet, overlay
 
 
 def test_overlay_marks_the_mask_and_nothing_far_from_it():
@@ -16,3 +16,9 @@ def test_overlay_marks_the_mask_and_nothing_far_from_it():
     assert changed.sum() < 1.6 * mask.sum()
     np.testing.assert_array_equal(overlay(image, ~np.ones_like(mask)), image)
     assert ((marked >= 0) & (marked <= 1)).all()
+
+
+def test_a_name_with_signs_of_formulas_is_a_label(tmp_path):
+    picture = np.zeros((4, 6, 3))
+    contact_sheet(tmp_path / "sheet.png", {"cost_$5_to_$10_0": [picture]}, titles=["render"])
+    assert (tmp_path / "sheet.png").exists()

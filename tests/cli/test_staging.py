@@ -1,6 +1,7 @@
 """A folder of results is replaced as a whole, or left unchanged, however the run ends."""
 
 import contextlib
+import hmac
 import json
 import os
 import re
@@ -302,3 +303,20 @@ def test_a_signal_does_not_interrupt_moving_files(out, monkeypatch, move):
         signal.signal(signal.SIGINT, before)
     assert set(contents(out)) == set(NAMES)
     assert {(out / name).read_text() for name in NAMES[:-1]} == {"new"}
+
+
+def test_results_are_published_where_the_secret_cannot_be_kept(tmp_path, monkeypatch):
+    (tmp_path / "file").touch()  # no folder can be made in it
+    monkeypatch.setattr(cache, "cache_folder", lambda: tmp_path / "file" / "cache")
+    for content in ("first", "second"):
+        with replacing(tmp_path / "out") as folder:
+            write(folder, content)
+        assert {(tmp_path / "out" / name).read_text() for name in NAMES[:-1]} == {content}
+
+
+def test_a_secret_that_was_not_written_to_its_end_is_replaced(tmp_path, monkeypatch):
+    monkeypatch.setattr(cache, "cache_folder", lambda: tmp_path)
+    (tmp_path / "secret").touch()
+    known = hmac.new(b"", b"text", "blake2b").hexdigest()[:32]
+    assert cache.seal("text") != known
+    assert len((tmp_path / "secret").read_bytes()) == 32

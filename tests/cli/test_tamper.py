@@ -66,6 +66,19 @@ def test_a_vase_is_pasted_by_default_and_any_object_on_request(room, tmp_path):
     assert description["command"]["object"] == str(room / "scene.ply")
 
 
+def test_views_may_differ_in_size(room, tmp_path):
+    cameras = load_cameras(room / "cameras.json")
+    sizes = [(96, 72), (60, 80), (97, 33), (96, 72), (64, 48), (80, 60)]
+    mixed = [camera.resized(*size) for camera, size in zip(cameras, sizes, strict=True)]
+    save_cameras(tmp_path / "cameras.json", mixed)
+    given = ["--cameras", tmp_path / "cameras.json", "--out", tmp_path / "out"]
+    assert run("tamper", room / "scene.ply", *given).code == 0
+    for camera in mixed:
+        for kind in ("truth", "masks"):
+            mask = read_probability(image_path(tmp_path / "out" / kind, camera.name))
+            assert mask.shape == (camera.height, camera.width)
+
+
 def test_a_second_edit_leaves_nothing_of_the_first(room, tmp_path):
     cameras = ["--cameras", room / "cameras.json", "--edit", "modification", "--out", tmp_path]
     assert run("tamper", room / "scene.ply", *cameras).code == 0

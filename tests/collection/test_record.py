@@ -1,10 +1,14 @@
 """Rows of a scan as files."""
 
+import os
+
 import pytest
 
 pytest.importorskip("pyarrow", reason="needs the extra `cluster`")
 
+from gsc_jax.cli.outputs import jsonable
 from gsc_jax.collection.record import complete, finished_scenes, merge_rows, read_rows, write_row
+from gsc_jax.collection.settings import ScanSettings
 from gsc_jax.scene import InputError
 
 ROW = complete({"id": "a.ply", "key": "ab12", "configuration": "c" * 64, "path": "a.ply"})
@@ -48,3 +52,21 @@ def test_a_damaged_row_is_named(tmp_path):
     whole.write_bytes(whole.read_bytes()[:100])
     with pytest.raises(InputError, match="damaged; remove it"):
         list(read_rows(tmp_path, ROW["configuration"]))
+
+
+def test_names_that_are_not_utf8_and_other_columns_are_written(tmp_path):
+    given = jsonable({"id": os.fsdecode(b"a\xff.ply"), "path": os.fsdecode(b"/in/a\xff.ply")})
+    row = complete({**given, "year": "2020", "key": "ab", "configuration": "c" * 16})
+    write_row(tmp_path, row)
+    (found,) = read_rows(tmp_path, "c" * 16)
+    assert (found["id"], found["year"]) == ("a\\xff.ply", "2020")
+
+
+def test_a_configuration_changes_with_the_files_that_a_network_reads(tmp_path):
+    model, tensors = tmp_path / "net.onnx", tmp_path / "w.bin"
+    model.write_bytes(b"\n\x08location\x12\x05w.bin")
+    tensors.write_bytes(b"one")
+    settings = ScanSettings(command={"detector": (model,)})
+    first = settings.digest()
+    tensors.write_bytes(b"two")
+    assert settings.digest() != first

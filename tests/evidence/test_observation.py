@@ -2,6 +2,7 @@
 
 import dataclasses
 import pickle
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -184,3 +185,16 @@ def test_masks_in_the_order_of_the_cameras_and_generators_serve_as_well():
         observe(gaussians, views, maps[:2])
     with pytest.raises(InputError, match="cameras must be Camera objects, got str"):
         observe(gaussians, ["a.json"], maps)  # pyright: ignore[reportArgumentType]
+
+
+def test_stores_of_several_runs_may_share_a_folder(tmp_path):
+    array = np.arange(50_000.0)
+
+    def put(run: int) -> None:
+        for name in map(str, range(10)):
+            ArrayStore(tmp_path).put("map", name, array)
+
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(put, range(4)))
+    assert all(ArrayStore(tmp_path).has("map", name) for name in map(str, range(10)))
+    assert np.array_equal(ArrayStore(tmp_path).get("map", "0"), array)

@@ -140,3 +140,24 @@ def test_a_file_that_expands_beyond_the_memory_is_refused(tmp_path):
     path = write_json(tmp_path / "cameras.json", items)
     with pytest.raises(InputError, match="of memory"):
         load_cameras(path, max_bytes=10_000)
+
+
+@pytest.mark.parametrize(
+    ("field", "at", "value", "message"),
+    [
+        ("viewmat", (3, 0), 1.0, "not transposed"),
+        ("viewmat", (3, 3), 2.0, "not transposed"),
+        ("viewmat", (slice(3), slice(3)), 0.0, "invertible"),
+        ("K", (0, 1), 20.0, "without skew"),
+        ("K", (2, 2), 2.0, "not transposed"),
+        ("K", (0, 0), -30.0, "focal lengths above 0"),
+    ],
+)
+def test_a_camera_that_would_be_another_one_is_not_written(tmp_path, field, at, value, message):
+    camera = random_camera()
+    matrix = np.array(getattr(camera, field))
+    matrix[at] = value
+    changed = dataclasses.replace(camera, **{field: matrix})
+    with pytest.raises(InputError, match=message):
+        save_cameras(tmp_path / "cameras.json", [changed])
+    assert not (tmp_path / "cameras.json").exists()

@@ -1,6 +1,9 @@
 """The walk: its exponential function, and parts of the tiles in threads."""
 
 import math
+import os
+import subprocess
+import sys
 from concurrent.futures import ThreadPoolExecutor
 
 import jax
@@ -78,6 +81,26 @@ def test_under_jit_there_is_one_part(monkeypatch):
     jax.jit(lambda features: in_parts(part_of, view, features)[0])(FEATURES)
     jax.jit(lambda seen: in_parts(part_of, seen, FEATURES)[0])(view)
     assert counts == [len(view.tiles)] * 2
+
+
+X64 = """
+import jax
+import numpy as np
+import gsc_jax
+from gsc_jax.benchmark.scenes import tampered_room
+assert jax.config.jax_enable_x64
+made = tampered_room(count=300, views=2, heldout=0, width=32, height=24)
+found = gsc_jax.locate(made.gaussians, made.cameras, [np.eye(24, 32)] * 2)
+assert found.tamper.dtype == np.float32
+loss = lambda scene: gsc_jax.render(scene, made.cameras[0])[0].sum()
+assert float(jax.numpy.abs(jax.grad(loss)(jax.device_put(made.gaussians)).means).max()) > 0
+"""
+
+
+@pytest.mark.slow
+def test_locate_and_gradients_work_in_a_program_that_uses_64_bits():
+    environment = {**os.environ, "JAX_ENABLE_X64": "1", "PYTHONPATH": os.pathsep.join(sys.path)}
+    subprocess.run([sys.executable, "-c", X64], env=environment, check=True, timeout=300)
 
 
 @ON_CPU

@@ -41,32 +41,26 @@ from gsc_jax.scene.pytree import short_repr
 class Result(Finding):
     """Tampered Gaussians and pixels, and how they were found.
 
+    With these attributes besides those of `Finding`: tamper, labels, attribute, verdict,
+    group_sizes, rank and warnings.
+
     Attributes:
-        tamper: Score in [0, 1], shape (N,) float32; 0 for Gaussians without any evidence. For
-            `robust`, the probability of tampering, given that the scene was edited.
-        labels: Tampered Gaussians: score above the threshold, shape (N,) bool.
-        attribute: Raw attribute r, shape (N,) float32, unbounded; log odds for `robust`.
-        verdict: Scene probability: that anything was edited; None if the method gives none.
         reliability: Reliability of each mask by camera name; empty if the method infers none.
         masks: Tampered pixels of every view, (H, W) bool, by camera name.
         probabilities: Probability maps of the 2D detector, (H, W) float16, by camera name.
         seen: Gaussians visible in a view, or without detector with usable attributes, (N,) bool.
-        group_sizes: Sizes of G_h, G_m and G_l in every iteration, shape (iterations, 3).
-        rank: Share of the other parts of the scene that stand out more by the prior than what the
-            masks label; None where it was not asked.
         early_stopping: How many views were used and why; None if all were used regardless.
         prior: Prior of the method; None if it used none.
         estimator: The estimator with its configuration.
         stages: Seconds and peak memory in MiB by stage; stages that run in threads overlap.
         seconds: Wall time since the monitor was made.
-        warnings: Sentences for the user.
     """
 
     reliability: dict[str, Reliability]  # pyright: ignore[reportIncompatibleVariableOverride]
     masks: Mapping[str, np.ndarray]
-    probabilities: Mapping[str, np.ndarray]
+    probabilities: Mapping[str, np.ndarray] = dataclasses.field(default_factory=dict)
     seen: np.ndarray
-    early_stopping: EarlyStopping | None
+    early_stopping: EarlyStopping | None = None
     prior: Prior | None
     estimator: Estimator
     stages: dict[str, dict[str, float]]
@@ -144,7 +138,7 @@ def locate(
     compute = functools.partial(mask_of, filled_up(gaussians), **settings)
     masks = stored_masks(compute, cameras, store, monitor, gaussians=len(gaussians))
     return Result(
-        **(vars(finding) | found | {"warnings": warnings}),
+        **(vars(finding) | {"reliability": {}} | found | {"warnings": warnings}),
         masks=masks,
         prior=known if estimator.uses_prior else None,
         stages=monitor.summary(),
@@ -221,8 +215,7 @@ def _from_attributes(
         finding = estimate_from_attributes(
             prior, threshold=estimator.threshold, min_verdict=estimator.min_verdict
         )
-    empty = {"reliability": {}, "probabilities": {}, "early_stopping": None, "warnings": []}
-    return finding, {"seen": prior.known, "estimator": estimator, **empty}
+    return finding, {"seen": prior.known, "estimator": estimator, "warnings": []}
 
 
 def _usable(gaussians: Gaussians) -> tuple[Gaussians, list[str]]:

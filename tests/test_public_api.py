@@ -84,7 +84,8 @@ def test_every_argument_and_result_is_documented(name):
 
 @pytest.mark.parametrize("name", DATACLASSES)
 def test_every_field_is_documented(name):
-    doc = inspect.getdoc(DATACLASSES[name]) or ""
+    # Its own attributes, and those of the classes that it extends.
+    doc = "\n".join(inspect.getdoc(cls) or "" for cls in DATACLASSES[name].__mro__)
     for field in dataclasses.fields(DATACLASSES[name]):
         assert f"    {field.name}: " in doc, f"{name} does not say what {field.name} is"
 

@@ -34,8 +34,7 @@ def seal(text: str) -> str:
 def _secret(folder: Path) -> bytes:
     file, secret = folder / "secret", secrets.token_bytes(32)
     with contextlib.suppress(OSError, InputError):
-        # Shorter if a run was killed while it wrote the file.
-        if not file.exists() or file.stat().st_size != len(secret):
+        if not file.exists() or file.stat().st_size < len(secret):  # its writer was killed
             with atomic(file) as temporary:
                 temporary.touch(mode=0o600)
                 temporary.write_bytes(secret)

@@ -7,6 +7,7 @@ stdout; progress and, at the end, warnings go to stderr.
 
 import argparse
 import contextlib
+import errno
 import functools
 import importlib.metadata
 import io
@@ -43,6 +44,9 @@ from gsc_jax.scene.parallel import compute_in_calling_thread
 
 Command = Locate | Scan | Render | Tamper | Evaluate | Check | Verify | View | Demo
 COMMANDS: dict[str, type] = {kind.__name__.lower(): kind for kind in get_args(Command)}
+FAULTS = (errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.EBADF, errno.EINVAL)
+"""Errors of this program, unless of a given path; others are of the machine: full disks, limits."""
+
 DESCRIPTION = """\
 Find the tampered Gaussians in a 3D Gaussian Splatting model (GS-Checker, in JAX).
 
@@ -80,7 +84,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _refuse(f"{error}{_origin(command, argv, str(error))}")
     except BrokenPipeError:  # the reader of stdout, such as `head`, has closed it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    except OSError as error:  # nearly always of the machine: permissions, limits, a failing device
+    except OSError as error:
+        if error.errno in FAULTS and not _is_given(error, command):
+            raise
         return _refuse(f"{error.filename or 'a file'}: {error.strerror or error}")
     return 0
 
@@ -200,6 +206,15 @@ def _origin(command: Command | None, argv: Sequence[str], error: str) -> str:
     return f" (given in {command.config}, whose paths are relative to the current folder)"
 
 
+def _is_given(error: OSError, command: Command | None) -> bool:
+    """Whether an error is of a path that the options give, or of one in it."""
+    if command is None or not isinstance(error.filename, str | bytes):
+        return False
+    place = Path(os.fsdecode(error.filename)).absolute()
+    given = [path.absolute() for path in _paths(command) if path != getattr(command, "out", None)]
+    return any(place.is_relative_to(path) for path in given)
+
+
 def _paths(command: Command) -> list[Path]:
     given = [value if isinstance(value, tuple) else (value,) for value in vars(command).values()]
     return [value for values in given for value in values if isinstance(value, Path)]
@@ -207,9 +222,10 @@ def _paths(command: Command) -> list[Path]:
 
 def _check_paths(command: Command) -> None:
     """Refuse paths that no file can have, before they are used."""
+    absent = contextlib.suppress(FileNotFoundError, NotADirectoryError, PermissionError)
     for path in _paths(command):
-        with naming(path, errors=ValueError, remedy="; no file can have this name, rename it"):
-            os.path.lexists(path)
+        with naming(path, errors=(ValueError, OSError), remedy="; rename it"), absent:
+            path.stat()
 
 
 def _say(line: str) -> None:

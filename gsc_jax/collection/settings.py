@@ -57,8 +57,7 @@ class ScanSettings:
         used = [*options.get("detector", ()), options.get("spec"), self.command.get("config")]
         used.append(Path(forensics.__file__).with_name("classifier.npz"))
         files = [Path(path) for path in used if path and Path(path).exists()]
-        models = [path for path in files if path.is_file() and path.stat().st_size]
-        files += [tensors for path in models for tensors in external_files(path)]
+        files += [x for p in files if p.is_file() and p.stat().st_size for x in external_files(p)]
         facts = {
             "options": jsonable({k: v for k, v in options.items() if v is not None}),
             "files": [content_digest(path) for path in files],

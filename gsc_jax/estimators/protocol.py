@@ -89,7 +89,8 @@ class Finding:
     """Scores and labels of N Gaussians.
 
     Attributes:
-        tamper: Score in [0, 1], shape (N,) float32; 0 for Gaussians without any evidence.
+        tamper: Score in [0, 1], shape (N,) float32; 0 for Gaussians without any evidence. For
+            `robust`, the probability of tampering, given that the scene was edited.
         labels: Gaussians whose score is above the threshold, shape (N,) bool.
         attribute: Raw attribute r, shape (N,) float32, unbounded; log odds for `robust`.
         group_sizes: Sizes of G_h, G_m and G_l in every iteration, shape (iterations, 3).

@@ -86,8 +86,8 @@ def _as_map(probability: Any, camera: Camera) -> np.ndarray:
             "expected an array of probabilities, (height, width)."
         ) from error
     while output.ndim > 2 and 1 in output.shape:  # one by one: a view may be one pixel wide
-        last = output.shape[0] > 1 and output.shape[-1] == 1
-        output = output.squeeze(-1 if last else output.shape.index(1))
+        fits = output.shape[0] > 1 or output.shape[:-1] == (camera.height, camera.width)
+        output = output.squeeze(-1 if fits and output.shape[-1] == 1 else output.shape.index(1))
     least = min(LEAST_SIDE, camera.height, camera.width)
     if output.ndim != 2 or min(output.shape) < least:
         raise InputError(

@@ -74,7 +74,8 @@ def observe(
         gaussians: N Gaussians.
         cameras: V cameras, for all of which the detector has an output.
         detector: A 2D detector, a function of the image, or probability maps: by camera name, or
-            one for each camera in a sequence, array or generator.
+            one for each camera in a sequence, array or generator. Called in this thread only, since
+            a user's function need not be thread-safe.
         near: Near plane in world units.
         store: Where the maps and the evidence of the views are kept; a new one by default. Views
             that it holds are neither judged nor lifted again.
@@ -97,13 +98,12 @@ def observe(
     def prepare(camera: Camera) -> tuple[View, np.ndarray | None]:
         with monitor.stage("project"):
             view = make_view(filled, camera, near=near)
-        if not detector.needs_image or store.has(MAP, camera.name):
-            return view, None
-        with monitor.stage("render"):
-            return view, np.asarray(render_view(view, filled, camera)[0])
+        if detector.needs_image and not store.has(MAP, camera.name):
+            with monitor.stage("render"):
+                return view, np.asarray(render_view(view, filled, camera)[0])
+        return view, None
 
     def detect() -> Iterator[tuple[Camera, View]]:
-        # The detector runs in this thread only, since a user's function need not be thread-safe.
         for camera, (view, image) in zip(missing, bounded_map(pool, prepare, missing), strict=True):
             if not store.has(MAP, camera.name):
                 with monitor.stage("detect"):

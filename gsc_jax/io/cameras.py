@@ -55,9 +55,9 @@ def save_cameras(path: str | Path, cameras: Sequence[Camera]) -> None:
             cameras, two have the same name, or one has a pose or intrinsics that are invalid.
     """
     try:
-        any(map(check_camera, cameras))
         items = [inria_item(camera, index) for index, camera in enumerate(cameras)]
         _checked(read_inria(items, Path(path)), path)
+        any(map(check_camera, cameras))  # also of what the file has no place for
     except ValueError as error:
         raise InputError(f"{path}: not written: {str(error).removeprefix(f'{path}: ')}") from error
     with atomic(path) as temporary:

@@ -82,7 +82,10 @@ def reported(before: str, after: str) -> Iterator[None]:
 
 @contextlib.contextmanager
 def naming(
-    where: object, *, errors: type[ValueError] = InputError, remedy: str = ""
+    where: object,
+    *,
+    errors: type[Exception] | tuple[type[Exception], ...] = InputError,
+    remedy: str = "",
 ) -> Iterator[None]:
     """Turn errors in the block into InputErrors whose messages begin with `where`."""
     try:

@@ -71,11 +71,6 @@ COUNTS: dict[str, dict[Outcome, tuple[int, int]]] = {
 }
 """How many authentic and edited test cases had each outcome: docs/beside_masks.csv (attributes
 beside masks, on scenes that nothing was trained on), docs/calibration.csv and docs/heldout.csv."""
-TESTED = {  # by the keys of `COUNTS`
-    "masks and attributes": "masks and attributes, in re-exported files of two scenes",
-    "masks": "simulated masks alone, of five scenes",
-    "attributes": "attributes, in re-exported files of five scenes and their captures",
-}
 MIN_RATIO = 3
 """Ratio of the shares of edited and authentic scenes below which an outcome says little."""
 ROUNDED_SHARE = 0.0005
@@ -107,8 +102,7 @@ def headline(verdict: float | None, tampered: int) -> str:
 def basis(verdict: float | None, masks: object, alone: float | None) -> str:
     """What a scene probability rests on: a key of `COUNTS`.
 
-    `alone` is that of the attributes alone, if they were used. The scene probability equals it
-    where there are no masks, or where they are no evidence.
+    It is that of the attributes `alone` where there are no masks, or where they are no evidence.
     """
     if masks and alone is not None and verdict != alone:
         return "masks and attributes"
@@ -131,9 +125,10 @@ def meaning(verdict: float, *, basis: str, traced: object = False) -> str:
     counts, totals = COUNTS[basis][found], list(map(sum, zip(*COUNTS[basis].values(), strict=True)))
     authentic, edited = (count / total for count, total in zip(counts, totals, strict=True))
     weak = max(authentic, edited) < MIN_RATIO * min(authentic, edited)
+    kind = "simulated masks alone" if basis == "masks" else f"{basis}, in re-exported files"
     return (
-        f"In tests of {TESTED[basis]}, {counts[0]} of {totals[0]} authentic and {counts[1]} of "
-        f"{totals[1]} edited cases had this outcome"
+        f"In tests of {kind}, of {'two' if ' and ' in basis else 'five'} scenes, {counts[0]} of "
+        f"{totals[0]} authentic and {counts[1]} of {totals[1]} edited cases had this outcome"
         f"{': on its own, it says little about whether a scene was edited' if weak else ''}."
     )
 

@@ -110,8 +110,6 @@ class RobustEstimator(Estimator):
         self, evidence: EvidenceOfViews, means: Array, prior: Prior | None = None
     ) -> Finding:
         """As `estimate`, for evidence (V, N) and positions (N, D), of which a prior needs three."""
-        if prior is not None and len(prior.known) != (count := evidence.shape[1]):
-            raise ValueError(f"the prior has {len(prior.known)} Gaussians, expected {count}")
         prior = prior if self.uses_prior else None
         trivial, views = unanimous(evidence), float(evidence.shape[0])
         if trivial and (prior is None or evidence.all_flagged):

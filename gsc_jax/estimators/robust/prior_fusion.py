@@ -51,8 +51,10 @@ def fuse(
 
     `probability` (N,) and `verdict`, that of the scene, are from the masks; `seen` (N,) is True for
     Gaussians visible in at least one view; the prior has a weight in [0, 1]. Returns probabilities,
-    (N,) float32, and the scene probability.
+    (N,) float32, and the scene probability; a prior of another size raises ValueError.
     """
+    if (given := len(prior.probability)) != len(probability):
+        raise ValueError(f"the prior has {given} Gaussians, expected {len(probability)}")
     if prior.exact:
         masks_wrong = 1 - verdict / 2  # and half of the cases in which both are correct
     else:

@@ -49,7 +49,7 @@ def compiled() -> Blend | None:
     loop.restype = Counts
 
     def blend(view: View, features, *, threads: int = 1, counting: bool = False) -> Blended:
-        rows, columns = view.grid
+        rows, columns = -(-view.height // TILE), -(-view.width // TILE)
         features = np.ascontiguousarray(features, np.float32)
         channels = features.shape[1]
         arrays = [np.ascontiguousarray(x) for x in (view.ids, view.tiles, view.starts, view.counts)]

@@ -56,7 +56,7 @@ class Result(Finding):
         seconds: Wall time since the monitor was made.
     """
 
-    reliability: dict[str, Reliability]  # pyright: ignore[reportIncompatibleVariableOverride]
+    reliability: dict[str, Reliability] = dataclasses.field(default_factory=dict)  # pyright: ignore
     masks: Mapping[str, np.ndarray]
     probabilities: Mapping[str, np.ndarray] = dataclasses.field(default_factory=dict)
     seen: np.ndarray
@@ -137,8 +137,9 @@ def locate(
     mask_of = view_mask if given is None else pictures
     compute = functools.partial(mask_of, filled_up(gaussians), **settings)
     masks = stored_masks(compute, cameras, store, monitor, gaussians=len(gaussians))
+    fields: dict[str, Any] = {**vars(finding), "reliability": {}, **found, "warnings": warnings}
     return Result(
-        **(vars(finding) | {"reliability": {}} | found | {"warnings": warnings}),
+        **fields,
         masks=masks,
         prior=known if estimator.uses_prior else None,
         stages=monitor.summary(),

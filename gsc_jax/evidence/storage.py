@@ -9,6 +9,7 @@ import hashlib
 import shutil
 import tempfile
 import threading
+import uuid
 import weakref
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -66,12 +67,12 @@ class ArrayStore:
                 return
         try:
             folder = self._open()
-            # Runs that share a folder, such as a cache, may write one array at a time.
-            with tempfile.NamedTemporaryFile(dir=folder, suffix=".npy", delete=False) as file:
+            partial = folder / f".{uuid.uuid4().hex}.npy"  # other runs may write the same array
+            with partial.open("w+b") as file:
                 np.save(file, array)
                 file.seek(0)
                 file.write(hashlib.file_digest(file, "blake2b").digest())
-            Path(file.name).replace(folder / f"{key}.npy")
+            partial.replace(folder / f"{key}.npy")
         except OSError as error:
             raise InputError(
                 f"{self._folder or tempfile.gettempdir()}: cannot store the evidence and masks of "

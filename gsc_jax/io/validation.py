@@ -13,6 +13,7 @@ from gsc_jax.scene import InputError
 SHOWN_CHARACTERS, MESSAGE_CHARACTERS = 80, 250
 NO_TABLE = ("model_type", "dataclass_type")
 UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
+Errors = type[Exception] | tuple[type[Exception], ...]
 
 
 def one_line(
@@ -81,12 +82,7 @@ def reported(before: str, after: str) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def naming(
-    where: object,
-    *,
-    errors: type[Exception] | tuple[type[Exception], ...] = InputError,
-    remedy: str = "",
-) -> Iterator[None]:
+def naming(where: object, *, errors: Errors = InputError, remedy: str = "") -> Iterator[None]:
     """Turn errors in the block into InputErrors whose messages begin with `where`."""
     try:
         yield

@@ -19,7 +19,7 @@ from gsc_jax.cli.ownership import refuse_foreign, refuse_overlap
 from gsc_jax.cli.report.wording import Located
 from gsc_jax.cli.staging import BY_CAMERA, FILES, replacing, views_of
 from gsc_jax.estimators.protocol import Estimator, Prior
-from gsc_jax.evidence.detector import Detector
+from gsc_jax.evidence.detector import Detector, fit_to_view
 from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.evidence.storage import ArrayStore
 from gsc_jax.forensics.contrast import contrasts
@@ -144,7 +144,10 @@ def dry_run(options: Locate, *, monitor: Monitor) -> tuple[list[str], list[str]]
     if inputs.detector is not None:
         network = detector_choice.network_path(inputs.options)
         source = f"{network} on up to" if network else f"masks in {inputs.options.masks} of"
-        sources.append(f"{source} {len(inputs.detector.select(inputs.cameras))} views")
+        chosen = inputs.detector.select(inputs.cameras)
+        sources.append(f"{source} {len(chosen)} views")
+        for camera in () if network else chosen:
+            fit_to_view(inputs.detector(None, camera), camera)
     earlier = earlier_results(options.out)
     origin = options.cameras or "cameras that were placed around the scene"
     return [

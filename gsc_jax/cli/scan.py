@@ -115,8 +115,6 @@ def run_scan(options: Scan, *, monitor: Monitor) -> tuple[list[str], list[str]]:
         rows = list(read_rows(out, settings.digest()))
         with atomic(out / PAGE) as temporary:
             temporary.write_text(collection_page(rows), encoding="utf-8", errors="backslashreplace")
-    with contextlib.suppress(OSError):
-        (out / UNFINISHED).rmdir()
     ids = {row["id"] for row in done}
     lines = _summary([row for row in rows if row["id"] in ids], done, options, monitor)
     return [*lines, f"page     {out / PAGE}, all {len(rows):,} scenes of the folder"], []

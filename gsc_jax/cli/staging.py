@@ -76,7 +76,7 @@ def replacing(
                 _end(work, out)
     finally:
         with contextlib.suppress(OSError):  # not empty: it holds results, or arrays of views
-            for place in (work, *created):
+            for place in created:
                 place.rmdir()
 
 
@@ -109,6 +109,7 @@ def locked(work: Path) -> Iterator[None]:
         with contextlib.suppress(OSError):  # somebody removed the folder
             if not any(path.name != LOCK for path in work.iterdir()):
                 (work / LOCK).unlink(missing_ok=True)
+                work.rmdir()
         lock.release()
 
 

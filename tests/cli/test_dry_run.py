@@ -1,6 +1,7 @@
 """`gsc-jax locate --dry-run`: validates and describes a run, and writes nothing."""
 
 import json
+import shutil
 
 import pytest
 from cli_case import COUNT, FIXTURES, contents, given, network, refused, report, run
@@ -46,6 +47,14 @@ def test_existing_results_stay(case, found):
     assert "epochs = 5" in answer.out
     assert "loop.lambda2 = 3.0" in answer.out
     assert contents(out) == before
+
+
+def test_every_mask_is_read(case, tmp_path):
+    shutil.copytree(case / "masks", tmp_path / "masks")
+    last = max(path for path in (tmp_path / "masks").rglob("*") if path.is_file())
+    last.write_text("no image")
+    argv = given(case, masks=tmp_path / "masks")
+    assert str(last) in refused(*argv, "--out", tmp_path / "out", "--dry-run")
 
 
 def test_a_network_is_loaded_but_not_run(case, tmp_path, own_cache):

@@ -100,10 +100,8 @@ def headline(verdict: float | None, tampered: int) -> str:
 
 
 def basis(verdict: float | None, masks: object, alone: float | None) -> str:
-    """What a scene probability rests on: a key of `COUNTS`.
-
-    It is that of the attributes `alone` where there are no masks, or where they are no evidence.
-    """
+    """What a scene probability rests on, a key of `COUNTS`, given that of the attributes alone."""
+    # Masks that are no evidence leave that of the attributes as it is.
     if masks and alone is not None and verdict != alone:
         return "masks and attributes"
     return "masks" if alone is None else "attributes"

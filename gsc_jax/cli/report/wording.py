@@ -123,9 +123,9 @@ def meaning(verdict: float, *, basis: str, traced: object = False) -> str:
     counts, totals = COUNTS[basis][found], list(map(sum, zip(*COUNTS[basis].values(), strict=True)))
     authentic, edited = (count / total for count, total in zip(counts, totals, strict=True))
     weak = max(authentic, edited) < MIN_RATIO * min(authentic, edited)
-    kind = "simulated masks alone" if basis == "masks" else f"{basis}, in re-exported files"
+    kind = "simulated masks alone" if basis == "masks" else f"{basis} in re-exported files"
     return (
-        f"In tests of {kind}, of {'two' if ' and ' in basis else 'five'} scenes, {counts[0]} of "
+        f"In tests of {kind} of {'two' if ' and ' in basis else 'five'} scenes, {counts[0]} of "
         f"{totals[0]} authentic and {counts[1]} of {totals[1]} edited cases had this outcome"
         f"{': on its own, it says little about whether a scene was edited' if weak else ''}."
     )

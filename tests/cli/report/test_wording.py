@@ -87,7 +87,7 @@ def test_an_outcome_of_most_scenes_is_said_to_say_little(verdict, basis, weak):
     assert ("it says little" in text) == weak
     total = {"attributes": 94, "masks": 60, "masks and attributes": 32}[basis]
     assert f" of {total} authentic and " in text
-    assert f"In tests of {'simulated masks alone' if basis == 'masks' else basis}, " in text
+    assert f"In tests of {'simulated masks alone' if basis == 'masks' else basis} " in text
 
 
 def test_the_rates_are_those_of_what_the_run_used(tmp_path: Path):

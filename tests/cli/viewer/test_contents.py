@@ -98,7 +98,7 @@ def test_the_page_has_the_reason_and_the_reservation(results: Results):
     traced = sentences(attributes={"verdict": 0.1, "traces": trace})
     assert "rests on a trace in the stored values" in traced
     assert trace["quantisation"] in traced
-    assert "In tests of attributes, in re-exported files" in sentences(
+    assert "In tests of attributes in re-exported files" in sentences(
         attributes={"verdict": 0.1, "traces": {}}
     )
     assert "smaller in 98% of the pairs" in sentences(contrasts={"size": 0.02})

@@ -80,9 +80,9 @@ def check_camera(camera: Camera) -> None:
                 f"{wanted} finite with the last row {last}, not transposed, got {values.tolist()}"
             )
         linear = values[:3, :3].astype(float)
-        if abs(np.linalg.det(linear)) < 1e-9 * np.prod(np.linalg.norm(linear, axis=1)):
+        if abs(np.linalg.det(linear)) <= 1e-9 * np.prod(np.linalg.norm(linear, axis=1)):
             raise InputError(f"{wanted} invertible, got {values.tolist()}")
-        pinhole = np.allclose(values[[0, 1], [1, 0]], 0, atol=1e-4) and np.all(np.diag(values) > 0)
+        pinhole = abs(values[[0, 1], [1, 0]]).max() <= 1e-4 * values[0, 0] and values[1, 1] > 0
         if name == "K" and not pinhole:
             raise InputError(f"{wanted} without skew, focal lengths above 0, got {values.tolist()}")
 

@@ -45,6 +45,7 @@ from gsc_jax.scene.parallel import compute_in_calling_thread
 Command = Locate | Scan | Render | Tamper | Evaluate | Check | Verify | View | Demo
 COMMANDS: dict[str, type] = {kind.__name__.lower(): kind for kind in get_args(Command)}
 FAULTS = (errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.EBADF, errno.EINVAL)
+FAULTS += (errno.ENOTEMPTY, None)
 """Errors of this program, unless of a given path; others are of the machine: full disks, limits."""
 
 DESCRIPTION = """\

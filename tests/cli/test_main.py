@@ -267,6 +267,7 @@ def test_the_console_script_runs():
         (errno.ENOENT, "/elsewhere", None),
         (errno.ENOENT, None, None),
         (errno.EBADF, None, None),
+        (errno.ENOTEMPTY, None, None),
     ],
 )
 def test_errors_of_this_program_are_not_reported_as_bad_input(
@@ -284,6 +285,15 @@ def test_errors_of_this_program_are_not_reported_as_bad_input(
     else:
         with pytest.raises(OSError, match=os.strerror(number)):
             run(*argv)
+
+
+def test_an_error_without_a_number_is_of_this_program(tmp_path, monkeypatch):
+    def fail(*arguments, **options):
+        raise OSError("cannot write mode F as PNG")
+
+    monkeypatch.setattr(cli, "run_render", fail)
+    with pytest.raises(OSError, match="cannot write mode F"):
+        run("render", tmp_path / "scene.ply", "--out", tmp_path / "out")
 
 
 def test_an_empty_argument_is_refused():

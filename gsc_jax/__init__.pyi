@@ -20,9 +20,8 @@ from .scene import Camera, Gaussians, InputError
 from .splat import accumulate_maps as accumulate, render, render_depth, render_features, render_view
 
 __all__ = ["Camera", "Evidence", "FolderDetector", "GSChecker", "Gaussians", "InputError"]
-__all__ += ["METHODS", "LoopConfig", "Monitor", "Observation", "OnnxDetector", "OnnxSpec"]
-__all__ += ["Prior", "Result", "RobustEstimator", "accumulate", "estimate"]
-__all__ += ["estimate_from_attributes", "forensic_evidence", "load_cameras", "load_ply", "locate"]
-__all__ += ["make_view", "observe", "orbit_cameras", "read_ply", "render", "render_depth"]
-__all__ += ["render_features", "render_view", "rendered_share", "reprojected", "save_cameras"]
-__all__ += ["save_ply", "sweep", "view_mask"]
+__all__ += ["METHODS", "LoopConfig", "Monitor", "Observation", "OnnxDetector", "OnnxSpec", "Prior"]
+__all__ += ["Result", "RobustEstimator", "accumulate", "estimate", "estimate_from_attributes"]
+__all__ += ["forensic_evidence", "load_cameras", "load_ply", "locate", "make_view", "observe"]
+__all__ += ["orbit_cameras", "read_ply", "render", "render_depth", "render_features", "render_view"]
+__all__ += ["rendered_share", "reprojected", "save_cameras", "save_ply", "sweep", "view_mask"]

@@ -2,7 +2,7 @@
 
 Ctrl-C (SIGINT) ends the process with exit code 130 and SIGTERM with 143, each with one line on
 stderr, also while JAX is imported, which takes seconds. Cleaning up may take `GRACE_SECONDS`; then
-the process ends without it and leaves temporary files: those in --out are removed by a later run.
+the process ends without it and leaves temporary files; a later run removes those in `.unfinished`.
 """
 
 import atexit
@@ -79,9 +79,10 @@ class _Stop:
 
 def _leave(number: int) -> NoReturn:
     """End the process without waiting for threads that still compute."""
-    # Not through sys.stdout and sys.stderr, whose buffers may be waiting for their reader.
-    os.write(2, b"gsc-jax: interrupted; no file is left half written\n")
-    os._exit(128 + number)
+    try:  # not by sys.stderr, whose lock another thread may hold; its reader may be gone
+        os.write(2, b"gsc-jax: interrupted; no file is left half written\n")
+    finally:
+        os._exit(128 + number)
 
 
 if __name__ == "__main__":

@@ -41,8 +41,7 @@ from gsc_jax.scene.pytree import short_repr
 class Result(Finding):
     """Tampered Gaussians and pixels, and how they were found.
 
-    With these attributes besides those of `Finding`: tamper, labels, attribute, verdict,
-    group_sizes, rank and warnings.
+    With these attributes besides those of `Finding`, such as tamper, labels and verdict.
 
     Attributes:
         reliability: Reliability of each mask by camera name; empty if the method infers none.
@@ -137,14 +136,10 @@ def locate(
     mask_of = view_mask if given is None else pictures
     compute = functools.partial(mask_of, filled_up(gaussians), **settings)
     masks = stored_masks(compute, cameras, store, monitor, gaussians=len(gaussians))
-    fields: dict[str, Any] = {**vars(finding), "reliability": {}, **found, "warnings": warnings}
-    return Result(
-        **fields,
-        masks=masks,
-        prior=known if estimator.uses_prior else None,
-        stages=monitor.summary(),
-        seconds=monitor.elapsed(),
-    )
+    fields: dict[str, Any] = {f.name: getattr(finding, f.name) for f in dataclasses.fields(Finding)}
+    fields |= {"reliability": {}, **found, "warnings": warnings, "masks": masks}
+    times = {"stages": monitor.summary(), "seconds": monitor.elapsed()}
+    return Result(**fields, **times, prior=known if estimator.uses_prior else None)
 
 
 def _prior(
@@ -174,7 +169,7 @@ def _from_views(
     prior: Prior | None,
     monitor: Monitor,
 ) -> tuple[Finding, dict[str, Any]]:
-    """Observe the views and estimate: the finding, and further fields of the result."""
+    """Observe the views and estimate; return the finding, and other fields of the `Result`."""
     chosen = detector.select(cameras)
     estimator, stop = estimator.for_views(len(chosen)), None
     # Masks from files cost nothing; each view of a network takes seconds.
@@ -188,7 +183,9 @@ def _from_views(
             finding = estimator.estimate(observation, prior)
     with monitor.stage("optimise"):
         reasons = doubts(observation, near=estimator.near)
-    if reasons and finding.verdict is not None:
+    if reasons and estimator.uses_prior and isinstance(prior, ForensicEvidence):
+        finding, _ = _from_attributes(estimator, prior, monitor)
+    elif reasons and finding.verdict is not None:
         verdict = min(finding.verdict, 0.5 if prior is None else prior.verdict)
         edited = verdict >= estimator.min_verdict
         kept = {"labels": finding.labels & edited, "tamper": finding.tamper * np.float32(edited)}
@@ -220,7 +217,7 @@ def _from_attributes(
 
 
 def _usable(gaussians: Gaussians) -> tuple[Gaussians, list[str]]:
-    """The scene with invalid rows at no place, where nothing sees them; warns and counts them."""
+    """Set the positions of invalid rows to NaN, so that no view sees them, and count them."""
     reasons = {name: rows for name, rows in invalid_rows(gaussians).items() if rows.any()}
     if not reasons:
         return gaussians, []

@@ -13,6 +13,7 @@ from gsc_jax import (
     Monitor,
     Prior,
     estimate,
+    estimate_from_attributes,
     forensic_evidence,
     locate,
     observe,
@@ -22,7 +23,7 @@ from gsc_jax import (
 from gsc_jax.benchmark.metrics import confusion
 from gsc_jax.detectors.folder import FolderDetector
 from gsc_jax.estimators import Method, configured
-from gsc_jax.estimators.protocol import ALL_FLAGGED, NONE_FLAGGED
+from gsc_jax.estimators.protocol import ALL_FLAGGED, NONE_FLAGGED, Finding
 from gsc_jax.evidence.detector import as_detector, fit_to_view
 from gsc_jax.loop import LoopConfig
 from gsc_jax.scene import Camera
@@ -118,6 +119,38 @@ def test_nothing_is_labelled_where_masks_are_no_evidence_and_the_prior_sees_no_e
     assert result.verdict == 0.01
     assert not result.labels.any()
     assert not result.tamper.any()
+
+
+@pytest.mark.parametrize("verdict", [0.01, 0.3, 0.97])
+def test_where_masks_are_no_evidence_the_result_is_that_of_the_attributes(verdict):
+    masks = dict.fromkeys(truths(), truths()["view_0"])
+    evidence = dataclasses.replace(forensic_evidence(SCENE), verdict=verdict)
+    result = locate(SCENE, cameras(), masks, prior=evidence)
+    alone = estimate_from_attributes(evidence)
+    assert result.verdict == verdict
+    assert np.array_equal(result.labels, alone.labels)
+    assert np.array_equal(result.tamper, alone.tamper)
+    assert any("They are no evidence of an edit" in text for text in result.warnings)
+
+
+@pytest.mark.parametrize(("verdict", "expected"), [(0.01, 0.5), (0.97, 0.97)])
+def test_full_masks_say_nothing_against_the_attributes(verdict, expected):
+    evidence = dataclasses.replace(forensic_evidence(SCENE), verdict=verdict)
+    result = locate(SCENE, cameras(), everywhere(1.0), prior=evidence)
+    assert result.verdict == pytest.approx(expected)
+
+
+def test_an_estimator_may_return_more_than_a_finding():
+    @dataclasses.dataclass(frozen=True, kw_only=True)
+    class More(Finding):
+        more: int
+
+    @dataclasses.dataclass(frozen=True, kw_only=True)
+    class Own(type(METHODS["robust"])):
+        def estimate(self, observation, prior=None):
+            return More(**vars(super().estimate(observation, prior)), more=1)
+
+    assert locate(SCENE, cameras(), truths(), config=Own(), prior=False).labels.any()
 
 
 def test_a_single_mask_is_never_taken_for_inverted():

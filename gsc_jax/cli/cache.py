@@ -30,7 +30,7 @@ def seal(text: str) -> str:
     return hmac.new(_secret(cache_folder()), os.fsencode(text), "blake2b").hexdigest()[:32]
 
 
-@functools.cache  # where it cannot be kept, it is drawn once for a process
+@functools.cache  # if it cannot be stored, each process draws its own
 def _secret(folder: Path) -> bytes:
     file, secret = folder / "secret", secrets.token_bytes(32)
     with contextlib.suppress(OSError, InputError):

@@ -113,7 +113,7 @@ def locate_and_write(inputs: Inputs, *, prior: Prior | bool, monitor: Monitor) -
 
 
 def _identity(inputs: Inputs) -> str:
-    """Digest of a command, its files, and all that is installed: with these, it can continue."""
+    """Digest of the command, its files and the installed packages; an equal run may continue."""
     installed = sorted({(package.name, package.version) for package in distributions()})
     network = getattr(inputs.detector, "fingerprint", None)
     facts = inputs.options, inputs.estimator, inputs.files, network, installed, versions()

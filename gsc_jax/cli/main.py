@@ -46,7 +46,7 @@ Command = Locate | Scan | Render | Tamper | Evaluate | Check | Verify | View | D
 COMMANDS: dict[str, type] = {kind.__name__.lower(): kind for kind in get_args(Command)}
 FAULTS = (errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.EBADF, errno.EINVAL)
 FAULTS += (errno.ENOTEMPTY, None)
-"""Errors of this program, unless of a given path; others are of the machine: full disks, limits."""
+"""Errors that are faults of this program, unless they are of a path that the user gave."""
 
 DESCRIPTION = """\
 Find the tampered Gaussians in a 3D Gaussian Splatting model (GS-Checker, in JAX).
@@ -76,7 +76,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
     command = None
     try:
-        if "" in argv:  # it would be the current folder
+        if any(not word or word[:2] + word[-1] == "--=" for word in argv if word != "--up="):
             raise InputError("an argument is empty; is a variable of the shell not set?")
         command = parse(argv)
         _check_paths(command)
@@ -225,7 +225,7 @@ def _check_paths(command: Command) -> None:
     """Refuse paths that no file can have, before they are used."""
     absent = contextlib.suppress(FileNotFoundError, NotADirectoryError, PermissionError)
     for path in _paths(command):
-        with naming(path, errors=(ValueError, OSError), remedy="; rename it"), absent:
+        with naming(path, errors=(ValueError, OSError), remedy="; give another path"), absent:
             path.stat()
 
 

@@ -100,8 +100,8 @@ def run_scan(options: Scan, *, monitor: Monitor) -> tuple[list[str], list[str]]:
         return [f"Dry run: {len(entries):,} scenes, configuration {settings.digest()[:16]}."], []
     with locked(out / UNFINISHED), _connected(ray, options):
         cores = int(ray.cluster_resources().get("CPU", 1))
-        if options.cpus > cores:  # Ray would wait for such a machine
-            raise InputError(f"--cpus {options.cpus}: there are {cores} cores in total; use fewer")
+        if options.cpus > cores and not options.address:  # Ray would wait; a cluster may grow
+            raise InputError(f"--cpus {options.cpus}: there are only {cores} cores; use fewer")
         workers = options.workers or max(cores // options.cpus, 1)
         settings = dataclasses.replace(settings, workers=min(workers, len(entries)))
         logging.getLogger("ray.data").setLevel(logging.ERROR)

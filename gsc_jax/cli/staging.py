@@ -75,8 +75,8 @@ def replacing(
             finally:
                 _end(work, out)
     finally:
-        with contextlib.suppress(OSError):  # not empty: it holds results, or arrays of views
-            for place in created:
+        for place in (work, *created):
+            with contextlib.suppress(OSError):  # not empty: it holds results, or arrays of views
                 place.rmdir()
 
 
@@ -117,6 +117,8 @@ def _begin(work: Path, out: Path, identity: str | None) -> None:
     """Finish what a killed run has begun to move, and keep its views unless this run has others."""
     _publish(work, out)
     shutil.rmtree(work / NEW, ignore_errors=True)
+    for partial in work.glob(".*"):  # of a run that was killed in `atomic`
+        partial.unlink()
     (work / NEW).mkdir()
     if identity is None:
         return

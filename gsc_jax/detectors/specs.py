@@ -37,8 +37,7 @@ class OnnxSpec:
     Attributes:
         size: Input height and width, or one number; None for that of the model, or of the image.
         fit: "resize" does not keep the aspect ratio. "pad" shrinks a larger image and adds black at
-            the bottom and the right, before the normalisation; the map is cropped. "none" passes
-            the image unchanged.
+            the bottom and right, before the normalisation; the map is cropped. "none" does nothing.
         multiple_of: Divisor of a free size, rounded to the nearest ("resize") or up ("pad").
         low_pass: Whether "resize" filters an image that shrinks, as Pillow does and cv2 does not.
         channels: Order of the input channels, and of `mean` and `std`.

@@ -74,8 +74,7 @@ def observe(
         gaussians: N Gaussians.
         cameras: V cameras, for all of which the detector has an output.
         detector: A 2D detector, a function of the image, or probability maps: by camera name, or
-            one for each camera in a sequence, array or generator. Called in this thread only, since
-            a user's function need not be thread-safe.
+            one for each camera in a sequence, array or generator. Called in this thread only.
         near: Near plane in world units.
         store: Where the maps and the evidence of the views are kept; a new one by default. Views
             that it holds are neither judged nor lifted again.

@@ -20,8 +20,7 @@ class Places:
         starts: Where each place begins in `rows`, shape (P,).
         centers: Mean positions, shape (P, 3).
         around: The places around each.
-        statistics: Mean and standard deviation around each place of F numbers, standardised, shape
-            (P, 2 F).
+        statistics: Standardised mean and deviation of F numbers around each place, shape (P, 2 F).
         names: Names of the numbers, as in `Features`, of each column.
     """
 

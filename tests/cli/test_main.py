@@ -297,4 +297,5 @@ def test_an_error_without_a_number_is_of_this_program(tmp_path, monkeypatch):
 
 
 def test_an_empty_argument_is_refused():
-    assert "an argument is empty" in refused("locate", "scene.ply", "--out", "")
+    for words in (("--out", ""), ("--out=",), ("--out", "x", "--cameras=")):
+        assert "an argument is empty" in refused("locate", "scene.ply", *words)

@@ -314,6 +314,14 @@ def test_results_are_published_where_the_secret_cannot_be_kept(tmp_path, monkeyp
         assert {(tmp_path / "out" / name).read_text() for name in NAMES[:-1]} == {content}
 
 
+def test_what_a_killed_run_has_not_finished_writing_goes(out):
+    (out / UNFINISHED).mkdir()
+    (out / UNFINISHED / ".0123456789ab.json").write_text("half")
+    with replacing(out) as folder:
+        write(folder, "new")
+    assert not (out / UNFINISHED).exists()
+
+
 def test_a_secret_that_was_not_written_to_its_end_is_replaced(tmp_path, monkeypatch):
     monkeypatch.setattr(cache, "cache_folder", lambda: tmp_path)
     (tmp_path / "secret").touch()

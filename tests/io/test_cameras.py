@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from gsc_jax.io.cameras import camera_files, load_cameras, save_cameras
 from gsc_jax.scene import InputError
+from gsc_jax.scene.camera import check_camera
 
 
 @settings(deadline=None, max_examples=20)
@@ -140,6 +141,20 @@ def test_a_file_that_expands_beyond_the_memory_is_refused(tmp_path):
     path = write_json(tmp_path / "cameras.json", items)
     with pytest.raises(InputError, match="of memory"):
         load_cameras(path, max_bytes=10_000)
+
+
+@pytest.mark.parametrize("focal", [0.01, 1e7])
+def test_any_focal_length_and_the_skew_of_rounding_are_those_of_a_camera(focal):
+    camera = random_camera()
+    K = np.array([[focal, 5e-4 * focal, 960], [0, focal, 540], [0, 0, 1]], np.float32)
+    check_camera(dataclasses.replace(camera, K=K))
+
+
+def test_a_pose_that_cannot_be_inverted_is_refused():
+    viewmat = np.eye(4, dtype=np.float32)
+    viewmat[1, :3] = 0
+    with pytest.raises(InputError, match="invertible"):
+        check_camera(dataclasses.replace(random_camera(), viewmat=viewmat))
 
 
 @pytest.mark.parametrize(

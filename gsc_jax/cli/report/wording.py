@@ -100,7 +100,7 @@ def headline(verdict: float | None, tampered: int) -> str:
 
 
 def basis(verdict: float | None, masks: object, alone: float | None) -> str:
-    """What a scene probability rests on, a key of `COUNTS`, given that of the attributes alone."""
+    """The kind of evidence behind a scene probability; `alone` is that of the attributes alone."""
     # Masks that are no evidence leave that of the attributes as it is.
     if masks and alone is not None and verdict != alone:
         return "masks and attributes"

@@ -4,8 +4,7 @@ GS-Checker weights all that is outside the masks by the same lambda2 in every vi
 the reliability of each mask from the same evidence:
 
 1. latent classes: Gaussians with the same pattern of flagged views (`latent_classes`);
-2. roles: which classes are authentic, tampered or distractors, and which views are inverted
-   (`class_roles`);
+2. roles: authentic, tampered or distractor classes, and views that are inverted (`class_roles`);
 3. the probability of each Gaussian, by how well its evidence agrees with each pattern, smoothed
    over its neighbours (`mean_field`);
 4. fusion with a prior that does not come from masks (`prior_fusion`).
@@ -115,6 +114,9 @@ class RobustEstimator(Estimator):
         if trivial and (prior is None or evidence.all_flagged):
             # Masks that cover everything tell no edit from the rest.
             verdict = 0.5 if evidence.all_flagged else scene_probability(0.0, views)
+            if prior is not None:
+                known, weight = trivial.labels, self.prior_weight
+                verdict = prior_fusion.fuse(trivial.tamper, verdict, known, prior, weight)[1]
             return dataclasses.replace(trivial, verdict=verdict)
         lifted = self.from_masks(evidence, means, flagged=not trivial)
         agreed = lifted.probability > 0.5

@@ -84,7 +84,7 @@ def test_every_argument_and_result_is_documented(name):
 
 @pytest.mark.parametrize("name", DATACLASSES)
 def test_every_field_is_documented(name):
-    # Its own attributes, and those of the classes that it extends.
+    # A class documents its own fields; those that it inherits are in the docs of its bases.
     doc = "\n".join(inspect.getdoc(cls) or "" for cls in DATACLASSES[name].__mro__)
     for field in dataclasses.fields(DATACLASSES[name]):
         assert f"    {field.name}: " in doc, f"{name} does not say what {field.name} is"

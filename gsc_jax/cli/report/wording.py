@@ -69,8 +69,8 @@ COUNTS: dict[str, dict[Outcome, tuple[int, int]]] = {
     "masks": {"evidence": (3, 91), "inconclusive": (11, 12), "none": (46, 2)},
     "attributes": {"evidence": (0, 85), "inconclusive": (9, 52), "none": (85, 143)},
 }
-"""How many authentic and edited test cases had each outcome: docs/beside_masks.csv (attributes
-beside masks, on scenes that nothing was trained on), docs/calibration.csv and docs/heldout.csv."""
+"""Numbers of authentic and of edited test scenes with each outcome, by kind of evidence. Their
+tables, in this order: docs/beside_masks.csv, docs/calibration.csv and docs/heldout.csv."""
 MIN_RATIO = 3
 """Ratio of the shares of edited and authentic scenes below which an outcome says little."""
 ROUNDED_SHARE = 0.0005
@@ -108,7 +108,7 @@ def basis(verdict: float | None, masks: object, alone: float | None) -> str:
 
 
 def meaning(verdict: float, *, basis: str, traced: object = False) -> str:
-    """State how many authentic and edited test cases had this outcome when judged by that basis.
+    """State how often authentic and edited test scenes had this outcome with this evidence.
 
     No test counts traces, on which a scene probability rests where any is found.
     """

@@ -35,9 +35,9 @@ QUICK = "small room"
 """Scene of a quick run: a tenth of the work."""
 OBJECTS = ("statue", "guitar", "plant")
 UNSEEN, UNSEEN_OBJECTS = ("hexbox", "seal"), ("kettle", "skull")
-"""Real scenes and objects on which nothing was trained or tuned, except that the traces "copy-move",
-"quantisation" and "quaternion-convention" were corrected after they had named authentic Gaussians
-in these scenes."""
+"""Real scenes and objects on which nothing was trained or tuned, with an exception: "copy-move",
+"quantisation" and "quaternion-convention" were corrected after these traces had named authentic
+Gaussians in them."""
 CUT = "cut from "
 HELDOUT_EVERY = 4
 """Every fourth camera of a real scene is held out for the metrics."""

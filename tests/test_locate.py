@@ -140,6 +140,18 @@ def test_full_masks_say_nothing_against_the_attributes(verdict, expected):
     assert result.verdict == pytest.approx(expected)
 
 
+@pytest.mark.parametrize("count", [1, 3, 100])
+@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
+def test_a_prior_of_another_number_of_gaussians_is_an_error(count, share):
+    masks = {name: mask * share > 0.25 for name, mask in truths().items()}
+    known = np.ones(count, bool)
+    prior = Prior(probability=np.full(count, 0.9, np.float32), verdict=0.9, known=known)
+    with pytest.raises(
+        ValueError, match=f"the prior has {count} Gaussians, the scene {len(SCENE)}"
+    ):
+        estimate(SCENE, cameras(), observe(SCENE, cameras(), masks), prior=prior)
+
+
 def test_an_estimator_may_return_more_than_a_finding():
     @dataclasses.dataclass(frozen=True, kw_only=True)
     class More(Finding):

@@ -19,8 +19,7 @@ SAMPLE = 2**17
 STEPS = 4
 """Steps to neighbouring places that are around those above the level."""
 WEIGHT, MAX_SCORE = 0.15, 3.0
-"""Weight of the discriminant in spans of a classification, chosen like the level of labelling, and
-bound of its scores."""
+"""Weight of the discriminant, in spans, chosen like the level of labelling; bound of its scores."""
 BEYOND = 0.3
 """Spans by which Gaussians farther away are lowered. Without this, most of those around the edge
 would rank behind them."""

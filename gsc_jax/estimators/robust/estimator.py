@@ -103,7 +103,10 @@ class RobustEstimator(Estimator):
         The attribute of the finding is the log odds of the probability. A prior may label Gaussians
         that no view sees; one of another number of Gaussians raises ValueError.
         """
-        return self.estimate_from_evidence(observation.evidence, observation.gaussians.means, prior)
+        means = observation.gaussians.means
+        if prior is not None and (given := len(prior.known)) != len(means):
+            raise ValueError(f"the prior has {given} Gaussians, the scene {len(means)}")
+        return self.estimate_from_evidence(observation.evidence, means, prior)
 
     def estimate_from_evidence(
         self, evidence: EvidenceOfViews, means: Array, prior: Prior | None = None

@@ -1,5 +1,8 @@
+import functools
+
 import numpy as np
 import pytest
+import scipy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
@@ -8,6 +11,9 @@ from gsc_jax.benchmark.scenes import tampered_room
 from gsc_jax.benchmark.simulate import REGIMES, Failures, decoy_labels, simulate
 
 VIEWS = 20
+WITHIN_A_VIEW = np.zeros((3, 3, 3), int)
+"""Pixels that `scipy.ndimage.label` joins: the eight around one, of the same view."""
+WITHIN_A_VIEW[1] = 1
 
 
 def discs(row, column, *, views=VIEWS, height=48, width=64, radius=7):
@@ -71,13 +77,54 @@ def test_blobs_are_false_positives_that_differ_between_views():
     np.testing.assert_array_equal(flagged(Failures(blobs=2.0)) & TRUTH, TRUTH)
 
 
-def test_boundary_moves_edges_by_about_its_pixels():
-    y, _ = np.indices((128, 128))
-    truth = np.repeat([y < 64], 8, axis=0)
-    edges = flagged_rows(truth, boundary=3.0)
-    assert edges.std() == pytest.approx(3.0, rel=0.4)
-    assert edges.mean() == pytest.approx(64, abs=1.5)
-    assert flagged_rows(truth, boundary=0.0).std() == 0
+@functools.cache
+def blobs_alone() -> tuple[np.ndarray, np.ndarray]:
+    """Number of blobs in each of 300 views, and radii in pixels of those inside of the image.
+
+    On average two blobs per view, so small that two hardly ever touch.
+    """
+    views, height, width = 300, 96, 128
+    nothing = np.zeros((views, height, width), bool)
+    masks = simulate(nothing, seed=0, failures=Failures(blobs=2.0, blob_size=0.025)) > 0.5
+    labels, count = scipy.ndimage.label(masks, structure=WITHIN_A_VIEW)
+    view = np.zeros(count + 1, int)
+    view[labels] = np.arange(views)[:, None, None]
+    border = np.ones((height, width), bool)
+    border[1:-1, 1:-1] = False
+    inside = np.setdiff1d(np.arange(1, count + 1), labels[:, border])
+    radii = np.sqrt(np.bincount(labels.ravel())[inside] / np.pi)
+    return np.bincount(view[1:], minlength=views), radii
+
+
+def test_the_number_of_blobs_is_that_of_the_settings_on_average():
+    assert blobs_alone()[0].mean() == pytest.approx(2.0, rel=0.1)
+
+
+def test_the_number_of_blobs_varies_between_views_as_a_poisson_variable():
+    counts, _ = blobs_alone()
+    assert 0.7 < counts.var() / counts.mean() < 1.4
+    assert (counts == 0).mean() == pytest.approx(np.exp(-2), abs=0.05)
+
+
+def test_the_median_radius_of_blobs_is_their_size_times_the_diagonal():
+    radii = blobs_alone()[1] / np.hypot(96, 128)
+    assert np.median(radii) == pytest.approx(0.025, rel=0.1)
+    assert np.log(radii).std() > 0.2, "all blobs have the same size"
+
+
+@pytest.mark.parametrize("boundary", [2.0, 3.0])
+def test_boundary_is_the_standard_deviation_of_the_position_of_edges(boundary):
+    """Of 64 edges 256 pixels long: a displacement extends over about ten times its pixels."""
+    y, _ = np.indices((64, 256))
+    truth = np.repeat([y < 32], 64, axis=0)
+    edges = flagged_rows(truth, boundary=boundary)
+    assert edges.std() == pytest.approx(boundary, rel=0.06)
+    assert edges.mean() == pytest.approx(32, abs=0.2)
+
+
+def test_without_boundary_edges_stay_where_they_are():
+    y, _ = np.indices((64, 256))
+    assert np.all(flagged_rows(np.array([y < 32]), boundary=0.0) == 32)
 
 
 def flagged_rows(truth, *, boundary):

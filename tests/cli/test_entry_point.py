@@ -1,4 +1,4 @@
-"""SIGINT and SIGTERM in real processes, at several moments of a run."""
+"""Exit codes of real processes: SIGINT and SIGTERM at several moments, errors of the program."""
 
 import contextlib
 import os
@@ -48,6 +48,13 @@ def run():
 cli.main = run
 """
 """Replaces the command: Python calls `callback` as it collects garbage, and ignores its errors."""
+FAILING_COMMAND = """
+import gsc_jax.cli.main as cli
+def fail(*_, **options):
+    raise RuntimeError("an error of this program")
+cli.run_render = fail
+"""
+"""Makes `render` fail with an error that no input is to blame for."""
 EXIT_SECONDS = 60
 """Longest time to exit after a signal on a busy machine; usually one or two seconds."""
 
@@ -143,3 +150,12 @@ def test_inside_a_callback_that_ignores_errors(tmp_path):
         out, err = process.communicate(timeout=EXIT_SECONDS)
     assert (process.returncode, out) == (128 + signal.SIGINT, "cleaned up\n")
     assert err == "gsc-jax: interrupted; no file is left half written\n"
+
+
+def test_an_error_of_this_program_gives_exit_code_1_and_a_traceback(tmp_path):
+    argv = ["render", tmp_path / "scene.ply", "--out", tmp_path / "out"]
+    with started(tmp_path / "cache", *argv, first=FAILING_COMMAND) as process:
+        out, err = process.communicate(timeout=EXIT_SECONDS)
+    assert (process.returncode, out) == (1, "")
+    assert err.startswith("Traceback (most recent call last):\n")
+    assert err.endswith("RuntimeError: an error of this program\n")

@@ -1,4 +1,4 @@
-"""The house: imports run downwards without circles, sizes stay within bounds."""
+"""Package layout: imports run downwards without circles, sizes stay within bounds."""
 
 import ast
 import graphlib
@@ -19,12 +19,12 @@ LAYERS = (
     ("cli", "collection"),
     ("__main__",),
 )
-"""Rooms from the bottom to the top: a module imports from its own layer or from lower ones."""
+"""Parts of the package from the lowest layer: modules import from their own layer or below."""
 OUTSIDE_OF_THE_METHOD = {"io", "detectors", "benchmark", "cli", "collection"}
 MAX_ENTRIES, MAX_LINES, MAX_FILE_LINES, MAX_BODY_LINES, MAX_PARAMETERS = 17, 17_000, 300, 40, 6
 LOCATE = "locate"
 """The one function with more parameters: those of the contract, the prior, monitor and store."""
-RANK = {room: rank for rank, rooms in enumerate(LAYERS) for room in rooms}
+RANK = {part: rank for rank, parts in enumerate(LAYERS) for part in parts}
 FILES = sorted(path for path in ROOT.rglob("*.py") if path != ROOT / "__init__.py")
 
 
@@ -48,7 +48,7 @@ MODULES = {module_of(path) for path in FILES}
 GRAPH = {module_of(path): imports_of(path) for path in FILES}
 
 
-def room(module: str) -> str:
+def part_of(module: str) -> str:
     return module.partition(".")[0]
 
 
@@ -57,7 +57,7 @@ def test_imports_run_downwards():
         (module, target)
         for module, targets in GRAPH.items()
         for target in targets
-        if RANK[room(target)] > RANK[room(module)]
+        if RANK[part_of(target)] > RANK[part_of(module)]
     }
     assert not upwards
 
@@ -67,12 +67,12 @@ def test_imports_have_no_circles():
 
 
 def test_the_method_imports_nothing_of_files_networks_and_commands():
-    method = [m for m in GRAPH if RANK[room(m)] < RANK["locate"] or m == "locate"]
+    method = [m for m in GRAPH if RANK[part_of(m)] < RANK["locate"] or m == "locate"]
     assert {"locate", "splat", "forensics.evidence"} <= set(method)
-    assert not {(m, t) for m in method for t in GRAPH[m] if room(t) in OUTSIDE_OF_THE_METHOD}
+    assert not {(m, t) for m in method for t in GRAPH[m] if part_of(t) in OUTSIDE_OF_THE_METHOD}
 
 
-def test_the_house_stays_small():
+def test_the_package_stays_small():
     sources = [p for p in ROOT.rglob("*") if p.suffix in {".py", ".pyi", ".html", ".css", ".js"}]
     lines = {path: len(path.read_text("utf-8").splitlines()) for path in sources}
     assert len({Path(path.relative_to(ROOT).parts[0]).stem for path in sources}) <= MAX_ENTRIES

@@ -19,7 +19,7 @@ from gsc_jax.estimators.robust.prior_fusion import (
 from gsc_jax.scene.neighbours import parts
 
 UNIT = st.floats(0, 1, width=32)
-OPINIONS = hnp.arrays(np.float32, 5, elements=UNIT)
+PROBABILITIES = hnp.arrays(np.float32, 5, elements=UNIT)
 ALL = np.ones(5, bool)
 
 
@@ -27,24 +27,24 @@ def prior(probability: np.ndarray, verdict: float, known: np.ndarray = ALL) -> P
     return Prior(probability=probability, verdict=verdict, known=known)
 
 
-@given(OPINIONS, OPINIONS, OPINIONS)
-def test_the_pool_lies_between_both_opinions(one, other, share):
+@given(PROBABILITIES, PROBABILITIES, PROBABILITIES)
+def test_the_pool_lies_between_both_probabilities(one, other, share):
     result = linear_pool(one, other, share)
     assert result.dtype == np.float32
     assert (result >= np.minimum(one, other) - 1e-6).all()
     assert (result <= np.maximum(one, other) + 1e-6).all()
 
 
-@given(OPINIONS, OPINIONS, OPINIONS)
+@given(PROBABILITIES, PROBABILITIES, PROBABILITIES)
 @example(np.eye(5, dtype=np.float32)[0], np.eye(5, dtype=np.float32)[1], np.full(5, 0.5))
-def test_the_pool_labels_something_exactly_if_one_opinion_does(one, other, share):
-    named = bool(((one > 0.5) | (other > 0.5)).any())
+def test_the_pool_labels_something_exactly_if_one_estimate_does(one, other, share):
+    labelled = bool(((one > 0.5) | (other > 0.5)).any())
     assume(not (one == 0.5).any() and not (other == 0.5).any())
-    assert (linear_pool(one, other, share) > 0.5).any() == named
+    assert (linear_pool(one, other, share) > 0.5).any() == labelled
 
 
-@given(OPINIONS, OPINIONS)
-def test_shares_of_0_and_1_select_one_opinion(one, other):
+@given(PROBABILITIES, PROBABILITIES)
+def test_shares_of_0_and_1_select_one_estimate(one, other):
     assume((one > 0.5).any() and (other > 0.5).any())
     np.testing.assert_array_equal(linear_pool(one, other, np.zeros(5)), one)
     np.testing.assert_array_equal(linear_pool(one, other, np.ones(5)), other)
@@ -61,7 +61,7 @@ def test_shares_of_0_and_1_select_one_opinion(one, other):
         ([0.4, 0], [0, 0.4], 0.5, "pooled"),
     ],
 )
-def test_the_pool_is_one_opinion_where_the_mean_would_label_nothing(one, other, share, returned):
+def test_the_pool_is_one_estimate_where_the_mean_would_label_nothing(one, other, share, returned):
     one, other = np.array(one, np.float32), np.array(other, np.float32)
     expected = {"one": one, "other": other, "pooled": (1 - share) * one + share * other}
     result = linear_pool(one, other, np.full(2, share))
@@ -85,7 +85,7 @@ def test_unseen_gaussians_follow_the_prior_and_unknown_ones_the_masks():
     np.testing.assert_allclose(fuse(masks, 0.8, seen, exact)[0][1], 1 - 0.6 * 0.75, rtol=1e-6)
 
 
-@given(OPINIONS, OPINIONS, st.floats(0.15, 1), UNIT, hnp.arrays(bool, 5))
+@given(PROBABILITIES, PROBABILITIES, st.floats(0.15, 1), UNIT, hnp.arrays(bool, 5))
 @example(np.eye(5, dtype=np.float32)[0], 1 - np.eye(5, dtype=np.float32)[0], 0.15, 1.0, ALL)
 def test_what_the_masks_label_is_kept_where_views_see_it(masks, own, shown, verdict, seen):
     """A prior that is sure and wrong costs nothing, unless it is exact."""

@@ -115,10 +115,10 @@ def test_a_prior_without_a_verdict_changes_the_scene_probability_and_no_label(fa
 
 
 def test_there_is_no_rank_where_the_prior_decides():
-    """Else it is that of what the masks label."""
-    for views, exact, asked in ((11, False, True), (11, True, False), (4, False, False)):
+    """Otherwise the rank is that of the region that the masks label."""
+    for views, exact, ranked in ((11, False, True), (11, True, False), (4, False, False)):
         found = estimate(decoy_in(views), prior=true_prior(0.9, exact=exact))
-        assert (found.rank is not None) == asked
+        assert (found.rank is not None) == ranked
     assert estimate(decoy_in(11)).rank is None
 
 

@@ -75,8 +75,8 @@ def test_quaternions_of_another_length_are_marked():
 
 
 @pytest.mark.parametrize("rotation", ["none", "kept"])
-def test_what_training_did_not_move_is_no_part_with_another_length(rotation):
-    """Where no view shows a part, it keeps the rotation it started with, or a normalised one."""
+def test_rotations_that_training_did_not_change_are_no_trace(rotation):
+    """Where no view showed a part in training, its quaternions stay as they were, of length 1."""
     unit, rng = np.asarray(room().rotations), np.random.default_rng(0)
     deviation = {"none": 0.1, "kept": 0.004}[rotation]
     lengths = 1 + deviation * rng.normal(size=(len(unit), 1))

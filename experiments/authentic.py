@@ -19,7 +19,7 @@ from cases import Case, detector_masks, without_edit
 from matplotlib import pyplot as plt
 from methods import ALL_METHODS, if_called_tampered
 from observations import Method, observe_regimes
-from runner import ChosenArgs, judge, measured, start
+from runner import ChosenArgs, judge, measured, refuse_unused, start
 from tables import TRUTH, Frame, Row, pivot, where, write_section
 
 from gsc_jax.benchmark.simulate import REGIMES
@@ -77,6 +77,7 @@ def chart(rows: Frame, path: Path) -> None:
 
 def main(args: ChosenArgs) -> None:
     """Measure every authentic scene; print and write the tables and the chart."""
+    refuse_unused(args, "edits")
     cases = args.cases(edits=("modification",))
     methods = args.among({**ALL_METHODS, CALLED: if_called_tampered})
     per_case = (rows_of(without_edit(case), methods) for case in cases)

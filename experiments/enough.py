@@ -17,7 +17,7 @@ from cases import MADE, QUICK, Case, detector_masks, seen_from
 from garden import garden_cameras
 from methods import labelled
 from observations import CaseObservation, Prediction, observe_regimes
-from runner import CASE_KEYS, FewArgs, heldout_masks, measured, start
+from runner import CASE_KEYS, FewArgs, heldout_masks, measured, refuse_unused, start
 from tables import Frame, Row, markdown, where, write_section
 
 from gsc_jax.benchmark.metrics import mean_over_tampered_views
@@ -90,6 +90,7 @@ def table(rows: Frame) -> str:
 
 def main(args: FewArgs) -> None:
     """Measure every case; print and write the table and the chart."""
+    refuse_unused(args, "scenes")
     names = (QUICK,) if args.quick else MADE
     cases = dataclasses.replace(args, scenes=names).cases()
     rows = measured(args, "enough", (rows_of(case) for case in cases))

@@ -22,8 +22,8 @@ from bank import BankCase, source_of
 from classifier_examples import Examples
 from leave_out import LeaveOutArgs, examples_of, scored_cases
 from matplotlib import pyplot as plt
-from runner import measured, start
-from tables import Frame, Row, pivot, where, write_section
+from runner import measured, refuse_unused, start
+from tables import Frame, Row, pivot, where, with_columns, write_section
 from tqdm import tqdm
 from train_classifier import train_network
 
@@ -44,8 +44,8 @@ NO_DISCRIMINANT = "discriminant"
 PARTS = NO_NOVELTY, NO_NETWORKS, NO_DISCRIMINANT
 MEMBERS = 2
 """Networks of an ensemble: AUC varies between those of other seeds."""
-SMALL = 0.001
-"""Mean loss of AUC below which a group adds nothing."""
+ERRORS = 2
+"""Standard errors of a mean loss of AUC within which it may be chance."""
 Groups = tuple[str, ...]
 
 
@@ -159,17 +159,21 @@ def all_rows(args: ImportanceArgs) -> Iterator[Iterator[Row]]:
 def report(rows: Frame) -> str:
     """The table, the AUC that the losses refer to, and the groups that add nothing."""
     whole, losses = where(rows, left_out=NOTHING), rows[rows.left_out != NOTHING]
-    groups = losses[~losses.left_out.isin(PARTS)].groupby("left_out", sort=False).loss.mean()
-    idle = groups[groups < SMALL].index
+    own = losses.groupby("left_out", sort=False).loss
+    errors = {name: f"{error:.3f}" for name, error in own.sem().items()}
+    groups = own.agg(["mean", "sem"]).drop(list(PARTS))
+    idle = groups[groups["mean"] < ERRORS * groups["sem"]].index
     means = whole.groupby("edit", sort=False).auc.mean()
+    table = pivot(_parts_last(losses), "left_out", "edit", metric="loss", best=None, digits=3)
     return "\n\n".join(
         [
             "**Loss of AUC per Gaussian when networks are trained without a group of features**, "
             "hosts that nothing was trained on, no traces",
-            pivot(_parts_last(losses), "left_out", "edit", metric="loss", best=None, digits=3),
-            f"{len(idle)} of {len(groups)} choices lose nothing (less than {SMALL} in the mean)"
-            f"{': ' if len(idle) else ''}{', '.join(idle)}. AUC of the {len(whole)} cases with all "
-            f"features: {', '.join(f'{edit} {value:.3f}' for edit, value in means.items())}.",
+            with_columns(table, {"standard error": errors}),
+            f"{len(idle)} of {len(groups)} choices lose less than {ERRORS} standard errors of "
+            f"the mean over all cases{': ' if len(idle) else ''}{', '.join(idle)}. AUC of the "
+            f"{len(whole)} cases with all features: "
+            f"{', '.join(f'{edit} {value:.3f}' for edit, value in means.items())}.",
         ]
     )
 
@@ -197,6 +201,7 @@ def chart(rows: Frame, path: Path) -> None:
 
 def main(args: ImportanceArgs) -> None:
     """Measure every group on every case; print and write the table and the chart."""
+    refuse_unused(args, "scenes", "edits", "seeds", "first_seed")
     rows = measured(args, "importance", all_rows(args))
     text = report(rows)
     print(text)

@@ -29,7 +29,7 @@ from bank import (
     training_seeds,
 )
 from classifier_examples import Examples, make_examples, stored_case
-from runner import measured, start
+from runner import measured, refuse_unused, start
 from single_network import scorer
 from tables import Frame, Row, markdown, where, write_section
 from tqdm import tqdm
@@ -130,18 +130,23 @@ def rows_of(host: str, case: BankCase, trained: Trained) -> Iterator[Row]:
 
 
 def report(rows: Frame) -> str:
-    """AUC by what is left out, of the cases that have all of the rows."""
+    """AUC by what is left out, of the cases that have all of the rows, and paired differences."""
     counts = rows.groupby(["host", "edit"]).left_out.transform("size")
     rows = rows[counts == counts.max()]
-    lines = []
+    by_case, lines = rows.pivot_table("auc", ["host", "edit"], "left_out"), []
     for name in rows.left_out.unique():
         own = where(rows, left_out=name)
         scores = [f"{where(own, edit=edit).auc.mean():.3f}" for edit in EDITS]
-        lines.append([name, f"{own.cases.mean():.0f}", *scores, f"{own.auc.mean():.3f}"])
+        change = by_case[name] - by_case["host"]
+        scores += [f"{own.auc.mean():.3f}", f"{change.mean():+.3f} ± {change.sem():.3f}"]
+        lines.append([name, f"{own.cases.mean():.0f}", *scores])
     scored = where(rows, left_out="host")
     counted = ", ".join(f"{int((scored.edit == edit).sum())} of {edit}" for edit in EDITS)
-    table = markdown(["left out", "learned of", *EDITS, "all"], lines)
-    return f"**AUC per Gaussian by what is left out of the training**, cases: {counted}\n\n{table}"
+    table = markdown(["left out", "learned of", *EDITS, "all", "difference"], lines)
+    return (
+        f"**AUC per Gaussian by what is left out of the training**, cases: {counted}; difference "
+        f"to the first row, case by case, ± its standard error\n\n{table}"
+    )
 
 
 def chosen(args: LeaveOutArgs) -> tuple[list[str], Sequence[Edit], Path]:
@@ -184,6 +189,7 @@ def all_rows(args: LeaveOutArgs) -> Iterator[Iterator[Row]]:
 
 def main(args: LeaveOutArgs) -> None:
     """Measure every case; print and write the table."""
+    refuse_unused(args, "scenes", "edits", "seeds", "first_seed")
     rows = measured(args, "leave_out", all_rows(args))
     text = report(rows)
     print(text)

@@ -22,7 +22,7 @@ from difference import DifferenceDetector
 from distort import DISTORTIONS
 from methods import ALL_METHODS
 from observations import Method, observe_regimes
-from runner import ChosenArgs, judge, measured, start
+from runner import ChosenArgs, judge, measured, refuse_unused, start
 from tables import Frame, Row, pivot, where, with_columns, write_section
 
 PAPER = {
@@ -88,6 +88,7 @@ def report(rows: Frame) -> str:
 
 def main(args: ChosenArgs) -> None:
     """Measure every modification; print and write the tables and the chart."""
+    refuse_unused(args, "edits")
     cases = args.cases(edits=("modification",))
     methods = args.among(ALL_METHODS)
     rows = measured(args, "robustness", (rows_of(case, methods) for case in cases))

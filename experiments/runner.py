@@ -110,6 +110,16 @@ class FewArgs(Args):
     seeds: int = 1
 
 
+def refuse_unused(args: Args, *names: str) -> None:
+    """Raise InputError if an option was given that an experiment does not use."""
+    defaults = {field.name: field.default for field in dataclasses.fields(args)}
+    for name in names:
+        if getattr(args, name) != defaults[name]:
+            raise InputError(
+                f"--{name.replace('_', '-')}: this experiment has its own; leave it out"
+            )
+
+
 def measured(args: Args, name: str, per_case: Iterable[Iterable[Row]]) -> Frame:
     """Measure all cases, with intermediate rows in OUT/NAME.partial.csv; or read OUT/NAME.csv."""
     path, partial = args.out / f"{name}.csv", args.out / f"{name}.partial.csv"

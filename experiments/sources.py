@@ -29,7 +29,7 @@ from bank import (
     training_seeds,
 )
 from classifier_examples import Examples, draw_case, make_examples
-from runner import Args, measured, start
+from runner import Args, measured, refuse_unused, start
 from single_network import scorer
 from tables import Frame, Row, markdown, pivot, where, write_section
 from tqdm import tqdm
@@ -150,6 +150,7 @@ def more_against_fewer(rows: Frame) -> str:
 
 def main(args: SourcesArgs) -> None:
     """Compute the features, train the networks, measure every case; write table and chart."""
+    refuse_unused(args, "scenes", "edits")
     names, edits, first = tuple(hosts(args.bank, args.data)), EDITS, HELDOUT + args.first_seed
     scored, count = range(first, first + args.seeds), SCENE_SEEDS
     if args.quick:

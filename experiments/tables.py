@@ -81,33 +81,31 @@ def pivot(
     across: str,
     *,
     metric: str = "f1",
+    over: str = "seed",
     total: bool = True,
     best: Best | None = "max",
     digits: int = 2,
 ) -> str:
-    """Tabulate mean and standard deviation over seeds of a metric, the best per column in bold.
+    """Tabulate means of a metric and their standard deviation over seeds, the best in bold.
 
     Args:
-        rows: Measurements, with a column `seed`.
+        rows: Measurements, with a column `seed` or `over`.
         down: Column whose values are the rows of the table.
         across: Column whose values are the columns of the table.
         metric: Column to average.
-        total: Add the mean over all columns.
+        over: Column over whose values the standard deviation is computed.
+        total: Add the mean over all columns, which count equally, however many rows they have.
         best: Whether the largest or the smallest mean is set in bold, except in the rows
             `REFERENCE`; None for none.
         digits: Decimal places.
     """
-    columns = {str(c): where(rows, **{across: c}) for c in rows[across].unique()}
-    if total:
-        columns["mean"] = rows
     table = {}
-    for column, own in columns.items():
-        groups = own.groupby(down, sort=False)
-        cells: Frame = pd.DataFrame({"mean": groups[metric].mean(), "seeds": groups.seed.nunique()})
-        cells["spread"] = [spread(group, metric) for _, group in groups]
+    for column in [*rows[across].unique(), *([None] if total else [])]:
+        own = rows if column is None else where(rows, **{across: column})
+        cells = _cells(own, [down, across], metric, over)
         contest = cells["mean"].drop(list(REFERENCE), errors="ignore").dropna()
         winner = getattr(contest, best)() if best and len(contest) else None
-        table[column] = {
+        table["mean" if column is None else str(column)] = {
             name: _cell(cell, None if name in REFERENCE else winner, digits)
             for name, cell in cells.iterrows()
         }
@@ -115,6 +113,15 @@ def pivot(
         [name, *(cells.get(name, "-") for cells in table.values())] for name in rows[down].unique()
     ]
     return markdown([down, *table], lines)
+
+
+def _cells(rows: Frame, keys: list[str], metric: str, over: str) -> Frame:
+    """Mean over the columns of a table, standard deviation and number of seeds, for each row."""
+    down = keys[0]
+    means = rows.groupby(keys, sort=False)[metric].mean().groupby(down, sort=False).mean()
+    by_seed = rows.groupby([*keys, over], sort=False)[metric].mean().groupby([down, over]).mean()
+    groups = by_seed.groupby(down)
+    return pd.DataFrame({"mean": means, "spread": groups.std(), "seeds": groups.size()})
 
 
 def with_columns(table: str, columns: Mapping[str, Mapping[str, str]]) -> str:

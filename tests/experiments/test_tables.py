@@ -48,3 +48,10 @@ def test_csv_round_trip(tmp_path):
     assert (first["a"], first["b"], first["c"]) == (1, "x, y", 0.25)
     assert np.isnan(first["d"])
     assert (second["b"], second["d"]) == ("", 1e-9)
+
+
+def test_columns_count_equally_in_the_mean_and_the_spread_may_be_over_other_units():
+    values = [("x", "h1", 0.9), ("x", "h2", 0.8), ("x", "h3", 1.0), ("y", "h1", 0.1)]
+    rows = pd.DataFrame([{"m": "a", "edit": e, "host": h, "f1": f} for e, h, f in values])
+    text = tables.pivot(rows, "m", "edit", over="host", best=None)
+    assert text.splitlines()[-1] == "| a | 0.90 ± 0.10 | 0.10 | 0.50 ± 0.25 |"

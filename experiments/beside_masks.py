@@ -13,7 +13,7 @@ from collections.abc import Iterator
 
 import numpy as np
 from authentic import FAILURES
-from cases import Case, detector_masks, without_edit
+from cases import Case, detector_masks, failures_without, without_edit
 from fusion import EXPORTER, FusionArgs, attributes, wrong_prior
 from methods import seeded
 from observations import observe_regimes
@@ -37,10 +37,8 @@ PAIR = {"edited": "misses", "authentic": "consistent"}
 
 def rows_of(case: Case) -> Iterator[Row]:
     """Measure the scene probability of a case and of the scene without its edit."""
-    pristine, failures = without_edit(case), {name: REGIMES[name] for name in FAILURES}
-    # The masks of a pasted object do not correspond to any surface of the scene before the paste.
-    pairs = [(case, STRENGTHS), (pristine, failures)][: 1 if case.edit == "incorporation" else 2]
-    for own, regimes in pairs:
+    pristine, failures = without_edit(case), failures_without(case.edit, FAILURES)
+    for own, regimes in ((case, STRENGTHS), (pristine, failures)):
         key = {**case.key, "kind": "authentic" if own is pristine else "edited"}
         priors = {"none": None, "attributes": attributes(own), **wrong_priors(case, own)}
         for regime, one in observe_regimes(own, detector_masks(own, regimes)).items():
@@ -72,15 +70,24 @@ def separation(edited: Frame, authentic: Frame) -> str:
     return f"{auc(values, np.arange(len(values)) < len(edited)):.3f}"
 
 
-def report(rows: Frame) -> str:
-    """AUC by prior, and the outcomes by kind of scene, failure and prior."""
+def separations(rows: Frame) -> tuple[int, str]:
+    """Number of edits that have every prior, and AUC of the scene probability with each prior."""
+    rows = rows[rows.edit != "incorporation"]  # which have no counterpart
+    keys = ["scene", "edit", "seed"]
+    rows = rows[rows.groupby(keys).prior.transform("nunique") == len(PRIORS)]
     lines = []
     for name in PRIORS:
         own = where(rows, prior=name)
-        own = own[own.edit != "incorporation"]  # which have no counterpart
-        edited, authentic = (where(own, kind=kind) for kind in PAIR)
+        alike = own[own.regime.isin(FAILURES)]
+        kinds = (where(alike, kind=kind) for kind in PAIR)
         pair = (where(own, kind=kind, regime=regime) for kind, regime in PAIR.items())
-        lines.append([name, separation(edited, authentic), separation(*pair)])
+        lines.append([name, separation(*kinds), separation(*pair)])
+    heads = ["prior", ", ".join(FAILURES), "edit missed, or authentic region flagged"]
+    return len(rows[keys].drop_duplicates()), markdown(heads, lines)
+
+
+def report(rows: Frame) -> str:
+    """AUC by prior, and the outcomes by kind of scene, failure and prior."""
     counts = []
     for (kind, regime, name), own in rows.groupby(["kind", "regime", "prior"], sort=False):
         found = own.verdict.map(outcome)
@@ -88,10 +95,10 @@ def report(rows: Frame) -> str:
         counts.append([kind, regime, name, *numbers, f"{own.verdict.median():.2f}"])
     edited = where(rows, kind="edited")
     keys = ["scene", "edit", "seed", "regime"]
-    by_prior = edited.pivot_table("f1", index=keys, columns="prior")
+    f1 = edited.pivot_table("f1", index=keys, columns="prior")
     labels = []
     for regime in STRENGTHS:
-        own = by_prior.xs(regime, level="regime")[[*PRIORS]]
+        own = f1.xs(regime, level="regime")[[*PRIORS]]
         worst = own.sub(own["none"], axis=0).min()
         labels.append([regime, *(f"{own[n].mean():.3f} ({worst[n]:+.3f})" for n in PRIORS)])
     ranks = [
@@ -100,11 +107,13 @@ def report(rows: Frame) -> str:
         if own["rank"].notna().any()
     ]
     scenes = len(rows.drop_duplicates(["scene", "edit", "seed"]))
+    compared, by_prior = separations(rows)
     return "\n\n".join(
         [
-            f"**AUC of the scene probability** for changed regions and removals in unseen scenes, "
-            f"against these scenes before the edit; attributes after an export ({EXPORTER})",
-            markdown(["prior", "all failures", "edit missed, or authentic region flagged"], lines),
+            f"**AUC of the scene probability** for {compared} changed regions and removals in "
+            "unseen scenes, all that have each prior, against these scenes before the edit, with "
+            f"the same failures; attributes after an export ({EXPORTER})",
+            by_prior,
             f"**F1 per Gaussian over {scenes} edits**, and its worst change by a prior",
             markdown(["failure", *PRIORS], labels),
             "**Outcomes**: how many scenes",

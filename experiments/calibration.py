@@ -16,7 +16,7 @@ import charts
 import jax.numpy as jnp
 import numpy as np
 from authentic import FAILURES
-from cases import Case, calibrated_mixture, detector_masks, without_edit
+from cases import Case, calibrated_mixture, detector_masks, failures_without, without_edit
 from matplotlib import pyplot as plt
 from methods import seeded
 from observations import CaseObservation, observe_regimes
@@ -40,7 +40,7 @@ def rows_of(case: Case) -> Iterator[Row]:
         yield from judged(one, weights)
     pristine = without_edit(case)
     weights = heldout_weights(pristine)
-    failures = {name: regimes[name] for name in FAILURES}
+    failures = failures_without(case.edit, {name: regimes[name] for name in FAILURES})
     for one in observe_regimes(pristine, detector_masks(pristine, failures)).values():
         for row in judged(one, weights):
             yield {**row, **case.key, "edit": "none"}

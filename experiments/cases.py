@@ -201,6 +201,17 @@ def seen_from(case: Case, cameras: list[Camera]) -> Case:
     )
 
 
+def failures_without(edit: str, failures: Mapping[str, Failures]) -> dict[str, Failures]:
+    """Failures to measure on the scene before an edit of this kind, none of them twice.
+
+    The region of the edit is the decoy. Before an incorporation, the masks of the object correspond
+    to no surface, so nothing is measured; without a decoy, all kinds of edit have the same masks.
+    """
+    if edit == "incorporation":
+        return {}
+    return {name: one for name, one in failures.items() if one.decoy or edit == "modification"}
+
+
 def without_edit(edited: Case) -> Case:
     """The scene of a case without its edit; the decoy is the region of the edit."""
     return dataclasses.replace(

@@ -65,8 +65,8 @@ HEADLINES: dict[Outcome, str] = {
     "none": "No evidence of editing.",
 }
 COUNTS: dict[str, dict[Outcome, tuple[int, int]]] = {
-    "masks and attributes": {"evidence": (0, 89), "inconclusive": (9, 7), "none": (23, 0)},
-    "masks": {"evidence": (3, 91), "inconclusive": (11, 12), "none": (46, 2)},
+    "masks and attributes": {"evidence": (0, 89), "inconclusive": (9, 7), "none": (15, 0)},
+    "masks": {"evidence": (3, 91), "inconclusive": (8, 12), "none": (19, 2)},
     "attributes": {"evidence": (0, 85), "inconclusive": (9, 52), "none": (85, 143)},
 }
 """Numbers of authentic and of edited test scenes with each outcome, by kind of evidence. Their

@@ -85,7 +85,7 @@ def report(rows: Frame) -> str:
     keys = ["scene", "edit", "seed", "regime"]
     by_method = rows.pivot_table(index=keys, columns="method", values="f1")
     lines = []
-    for name in (ATTRIBUTES, WRONG):
+    for name in by_method.columns.intersection([ATTRIBUTES, WRONG]):
         change = (by_method[name] - by_method[MASKS]).dropna()
         harmed, helped = (change < -MAX_LOSS).sum(), (change > MAX_LOSS).sum()
         counts = (f"{harmed} of {len(change)}", f"{helped} of {len(change)}")

@@ -1,4 +1,4 @@
-"""Do the checks of masks separate detectors from nonsense and from chance?
+"""How well `gsc_jax/evidence/mask_checks.py` tells masks of detectors from masks without evidence.
 
     python experiments/mask_checks.py [--quick] [--out docs]
 
@@ -20,10 +20,9 @@ from gsc_jax.benchmark.simulate import REGIMES, Failures
 from gsc_jax.evidence.mask_checks import (
     MIN_ACCURACY,
     MIN_CORRELATION,
-    STRIDE,
     agreement,
-    properties,
-    separation,
+    best_property,
+    doubts,
 )
 from gsc_jax.splat import render
 
@@ -50,19 +49,16 @@ def masks_of(case: Case, images: list[np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def rows_of(case: Case) -> Iterator[Row]:
-    """Both measures of all masks of a case."""
+    """Both measures of all masks of a case, and the number of reasons why they are no evidence."""
     images = [np.asarray(render(case.gaussians, camera)[0]) for camera in case.scene.cameras]
-    masks = masks_of(case, images)
-    found = [properties(image) for image in images]
-    every = slice(None, None, STRIDE)
-    values = {
-        name: np.stack([one[name][every, every] for one in found]).ravel() for name in found[0]
-    }
-    for name, observed in observe_regimes(case, masks).items():
-        flagged = masks[name][:, every, every].ravel()
-        accuracy = max(separation(v, flagged) for v in values.values()) if flagged.any() else 0.5
-        agreed = agreement(observed.observation.evidence)
-        yield {**case.key, "masks": name, "accuracy": round(accuracy, 4), "agreement": agreed}
+    for name, observed in observe_regimes(case, masks_of(case, images)).items():
+        observation = observed.observation
+        measures = {
+            "accuracy": round(best_property(observation)[1], 4),
+            "agreement": agreement(observation.evidence),
+            "reasons": len(doubts(observation)),
+        }
+        yield {**case.key, "masks": name, **measures}
 
 
 def report(rows: Frame) -> str:
@@ -70,14 +66,13 @@ def report(rows: Frame) -> str:
     lines = []
     for name in rows["masks"].unique():
         own = where(rows, masks=name)
-        doubted = (own.accuracy >= MIN_ACCURACY) | (own.agreement < MIN_CORRELATION)
         cells = [f"{v.min():.2f} to {v.max():.2f}" for v in (own.accuracy, own.agreement)]
-        lines.append([name, *cells, f"{doubted.sum()} of {len(own)}"])
+        lines.append([name, *cells, f"{(own.reasons > 0).sum()} of {len(own)}"])
     heads = ["masks", "accuracy of the best property", "agreement of views", "no evidence"]
     return (
         "**Masks that are called no evidence**: a property separates what they flag with a "
-        f"balanced accuracy of {MIN_ACCURACY}, or the correlation of a view with the others is "
-        f"below {MIN_CORRELATION}\n\n{markdown(heads, lines)}"
+        f"balanced accuracy of {MIN_ACCURACY}, the correlation of a view with the others is below "
+        f"{MIN_CORRELATION}, or all flag the same pixels\n\n{markdown(heads, lines)}"
     )
 
 

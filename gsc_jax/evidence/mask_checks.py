@@ -45,9 +45,9 @@ def doubts(observation: Observation, *, near: float = NEAR) -> list[str]:
             "The masks flag the same pixels in every view, though the views differ. They are no "
             "evidence of an edit; use another detector."
         )
-    if name := followed_property(observation, near):
+    if (best := best_property(observation, near=near))[1] >= MIN_ACCURACY:
         found.append(
-            f"The masks follow the {name} of the images: one threshold on it separates what they "
+            f"The masks follow the {best[0]} of the images: one threshold on it separates what they "
             "flag in all views. They are no evidence of an edit; use another detector."
         )
     if (agreed := agreement(observation.evidence)) is not None and agreed < MIN_CORRELATION:
@@ -68,10 +68,10 @@ def same_pixels(observation: Observation) -> bool:
     return differ and 0 < first.mean() < 1 and all(np.array_equal(first, mask) for mask in masks)
 
 
-def followed_property(observation: Observation, near: float) -> str | None:
-    """Name of a property of the image, a threshold on which separates what the masks flag.
+def best_property(observation: Observation, *, near: float = NEAR) -> tuple[str, float]:
+    """Property of the images that tells best what up to `CHECKED` partly flagged masks flag.
 
-    One threshold has to serve up to `CHECKED` partly flagged views with `MIN_ACCURACY`.
+    Returns its name and the balanced accuracy of one threshold; "" and 0 for fewer than two masks.
     """
     gaussians = filled_up(observation.gaussians)
 
@@ -81,7 +81,7 @@ def followed_property(observation: Observation, near: float) -> str | None:
     partly = [camera for camera in observation.cameras if 0.001 < mask(camera).mean() < 0.999]
     chosen = partly[:: max(1, -(-len(partly) // CHECKED))]
     if len(chosen) < 2:
-        return None
+        return "", 0.0
 
     def compared(camera: Camera) -> dict[str, np.ndarray]:
         maps = properties(np.asarray(render(gaussians, camera, near=near)[0]))
@@ -93,7 +93,7 @@ def followed_property(observation: Observation, near: float) -> str | None:
     flagged = np.concatenate([mask(camera) for camera in chosen])
     accuracies = {name: separation(values, flagged) for name, values in pixels.items()}
     best = max(accuracies, key=accuracies.__getitem__)
-    return best if accuracies[best] >= MIN_ACCURACY else None
+    return best, accuracies[best]
 
 
 def separation(values: np.ndarray, flagged: np.ndarray) -> float:

@@ -18,7 +18,7 @@ import pandas as pd
 import tyro
 from baselines import flashsplat, inverse_projection, mode_vote, sa3d
 from methods import seeded
-from tables import Frame, Row, markdown, where, write_csv, write_section
+from tables import Frame, Row, markdown, read_csv, where, write_csv, write_section
 
 from gsc_jax import FolderDetector, load_cameras, load_ply, rendered_share, view_mask
 from gsc_jax.benchmark.metrics import confusion
@@ -39,10 +39,11 @@ OBSERVED, HELDOUT = "looked at", "held out"
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Args:
-    """Folders of the scenes and of the tables."""
+    """Folders of the scenes and of the tables, and whether only to print the tables again."""
 
     data: Path = Path("../shared/data/tampered")
     out: Path = Path("docs")
+    reprint: bool = False
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -143,7 +144,7 @@ def table(rows: Frame) -> str:
         cells = []
         for kind, key in measures:
             means = where(rows, method=method, views=kind).groupby("seed")[key].mean()
-            spread = f" ± {means.std(ddof=0):.2f}" if len(means) > 1 else ""
+            spread = f" ± {means.std():.2f}" if len(means) > 1 else ""
             cells.append(f"{means.mean():.2f}{spread}" if len(means) else "-")
         lines.append([method, *cells])
     heads = ["method", "F1 held out", "IoU", "precision", "recall", "F1 observed"]
@@ -171,13 +172,16 @@ def report(rows: Frame, scene: str) -> str:
 
 def main(args: Args) -> None:
     """Score every method on every scene; print and write the tables."""
-    rows, tables = [], []
-    for folder in sorted(path for path in args.data.iterdir() if path.is_dir()):
-        rows.append(pd.DataFrame(rows_of(load(folder))))
-        tables.append(report(rows[-1], folder.name))
-        print(tables[-1], flush=True)
-    write_csv(args.out / "real_scenes.csv", pd.concat(rows, ignore_index=True))
-    write_section(args.out / "results.md", "real_scenes", "\n".join(tables))
+    path = args.out / "real_scenes.csv"
+    if args.reprint:
+        rows = read_csv(path)
+    else:
+        folders = sorted(path for path in args.data.iterdir() if path.is_dir())
+        rows = pd.DataFrame([row for folder in folders for row in rows_of(load(folder))])
+        write_csv(path, rows)
+    text = "\n".join(report(where(rows, scene=name), name) for name in rows.scene.unique())
+    print(text)
+    write_section(args.out / "results.md", "real_scenes", text)
 
 
 if __name__ == "__main__":

@@ -35,12 +35,13 @@ from gsc_jax.splat import render
 VIEWS, SCALES = (4, 8, 12, 18), (0.25, 0.5, 1.0)
 VOTERS = "inverse projection", "mode vote", "SAGD vote"
 SETTING = ["method", "epochs", "views", "scale"]
-RENDERED = "GS-Checker official, rendered"
+RELEASED, RENDERED = "GS-Checker official, attribute", "GS-Checker official, rendered"
+"""The released schedule with the mask rule of the release; the other methods use that of shares."""
 WITHOUT_EVIDENCE = (*VOTERS, RENDERED)
 """Methods that need the votes of the views, but not the evidence."""
 VARIANTS: dict[tuple[str, int | str], Method] = {
     **{(name, ""): ALL_METHODS[name] for name in (*VOTERS, "SA3D", "FlashSplat")},
-    ("GS-Checker official", ""): ALL_METHODS["GS-Checker official, attribute"],
+    (RELEASED, ""): ALL_METHODS[RELEASED],
     **{
         ("GS-Checker paper", epochs): predict_with(dataclasses.replace(PAPER, epochs=epochs))
         for epochs in (1, 2, 5)
@@ -132,7 +133,7 @@ def averaged(rows: Frame) -> Frame:
     """Means and standard deviations over the cases of each setting, the fastest first."""
     groups = rows.groupby(SETTING, sort=False)
     points = groups[["seconds", "with_network", "f1", "f1_mean"]].mean()
-    points = points.join(groups[["f1", "f1_mean"]].std(ddof=0).add_suffix("_spread"))
+    points = points.join(groups[["f1", "f1_mean"]].std().add_suffix("_spread"))
     return points.reset_index().sort_values(["seconds", "f1"], ascending=[True, False])
 
 

@@ -47,8 +47,8 @@ def doubts(observation: Observation, *, near: float = NEAR) -> list[str]:
         )
     if (best := best_property(observation, near=near))[1] >= MIN_ACCURACY:
         found.append(
-            f"The masks follow the {best[0]} of the images: one threshold on it separates what they "
-            "flag in all views. They are no evidence of an edit; use another detector."
+            f"The masks follow the {best[0]} of the images: one threshold on it separates what "
+            "they flag in all views. They are no evidence of an edit; use another detector."
         )
     if (agreed := agreement(observation.evidence)) is not None and agreed < MIN_CORRELATION:
         found.append(

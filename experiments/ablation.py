@@ -19,12 +19,10 @@ from methods import labelled, predict_with, without_3d
 from observations import CaseObservation, Method, Prediction, observe_regimes
 from runner import Args, judge, measured, start
 from tables import (
-    REFERENCE,
     TRUTH,
     Frame,
     Row,
-    differences,
-    markdown,
+    changes,
     pivot,
     where,
     with_columns,
@@ -114,30 +112,19 @@ def rows_of(case: Case) -> Iterator[Row]:
     yield from rules_of(observed)
 
 
-def changes(mixture: Frame) -> str:
-    """Tabulate the F1 of each variant minus that of its configuration, over the cases."""
-    lines = []
-    for name in mixture.method.unique():
-        full = name.split(":")[0]
-        if name in REFERENCE or name == full:
-            continue
-        change = differences(mixture, name, full)
-        lines.append([name, *(f"{f(change):+.3f}" for f in (np.mean, np.min, np.max))])
-    return markdown(["variant", "mean", "least", "largest"], lines)
-
-
 def report(rows: Frame) -> str:
     """All tables."""
     rules = rows[rows.rule != COMMON]
     rows = where(rows, rule=COMMON)
     mixture = where(rows, regime="mixture")
+    varied = {name: name.split(":")[0] for name in mixture.method.unique() if ":" in name}
     return "\n\n".join(
         [
             "**F1 by kind of edit, mixture of failures** (last column: the paper's Table 3, F1 / "
             "IoU, from other scenes and another detector)",
             with_columns(pivot(mixture, "method", "edit"), {"paper, all edits": QUOTED}),
             "**F1 minus that of the same method unchanged, case by case, mixture**",
-            changes(mixture),
+            changes(mixture, varied),
             "**F1 by masks**",
             pivot(rows, "method", "regime", total=False),
             "**F1 by the rule that makes masks of labels, mixture of failures**",

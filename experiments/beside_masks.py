@@ -17,11 +17,11 @@ from cases import Case, detector_masks, failures_without, without_edit
 from fusion import EXPORTER, FusionArgs, attributes, wrong_prior
 from methods import seeded
 from observations import observe_regimes
-from runner import measured, start
+from runner import CASE_KEYS, measured, start
 from scipy.spatial import KDTree
-from tables import Frame, Row, markdown, where, write_section
+from tables import Frame, Row, markdown, separation, where, write_section
 
-from gsc_jax.benchmark.metrics import auc, confusion
+from gsc_jax.benchmark.metrics import confusion
 from gsc_jax.benchmark.simulate import REGIMES, Failures
 from gsc_jax.estimators import METHODS, Prior
 from gsc_jax.estimators.protocol import Outcome, outcome
@@ -64,16 +64,10 @@ def wrong_priors(case: Case, own: Case) -> dict[str, Prior]:
     return {"wrong": Prior(probability=probability, verdict=wrong.verdict, known=known)}
 
 
-def separation(edited: Frame, authentic: Frame) -> str:
-    """AUC of the scene probability."""
-    values = np.concatenate([edited.verdict, authentic.verdict])
-    return f"{auc(values, np.arange(len(values)) < len(edited)):.3f}"
-
-
 def separations(rows: Frame) -> tuple[int, str]:
     """Number of edits that have every prior, and AUC of the scene probability with each prior."""
     rows = rows[rows.edit != "incorporation"]  # which have no counterpart
-    keys = ["scene", "edit", "seed"]
+    keys = CASE_KEYS[:-1]
     rows = rows[rows.groupby(keys).prior.transform("nunique") == len(PRIORS)]
     lines = []
     for name in PRIORS:
@@ -81,7 +75,7 @@ def separations(rows: Frame) -> tuple[int, str]:
         alike = own[own.regime.isin(FAILURES)]
         kinds = (where(alike, kind=kind) for kind in PAIR)
         pair = (where(own, kind=kind, regime=regime) for kind, regime in PAIR.items())
-        lines.append([name, separation(*kinds), separation(*pair)])
+        lines.append([name, f"{separation(*kinds):.3f}", f"{separation(*pair):.3f}"])
     heads = ["prior", ", ".join(FAILURES), "edit missed, or authentic region flagged"]
     return len(rows[keys].drop_duplicates()), markdown(heads, lines)
 
@@ -94,8 +88,7 @@ def report(rows: Frame) -> str:
         numbers = [str((found == one).sum()) for one in OUTCOMES]
         counts.append([kind, regime, name, *numbers, f"{own.verdict.median():.2f}"])
     edited = where(rows, kind="edited")
-    keys = ["scene", "edit", "seed", "regime"]
-    f1 = edited.pivot_table("f1", index=keys, columns="prior")
+    f1 = edited.pivot_table("f1", index=CASE_KEYS, columns="prior")
     labels = []
     for regime in STRENGTHS:
         own = f1.xs(regime, level="regime")[[*PRIORS]]

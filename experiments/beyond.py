@@ -20,7 +20,7 @@ from observations import CaseObservation, Method, Prediction, observe_regimes
 from runner import ChosenArgs, judge, measured, start
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from tables import REFERENCE, Frame, Row, differences, markdown, pivot, write_section
+from tables import REFERENCE, Frame, Row, changes, pivot, write_section
 
 from gsc_jax.benchmark.simulate import REGIMES
 from gsc_jax.estimators import RobustEstimator
@@ -143,24 +143,15 @@ def rows_of(case: Case, methods: Mapping[str, Method]) -> list[Row]:
     return list(judge(observe_regimes(case, detector_masks(case, regimes)), methods))
 
 
-def changes(rows: Frame) -> str:
-    """Tabulate the F1 of each variant minus that of `robust`, over cases and failures."""
-    lines = []
-    for name in rows.method.unique():
-        if name not in (FULL, *REFERENCE):
-            change = differences(rows, name, FULL)
-            lines.append([name, *(f"{f(change):+.3f}" for f in (np.mean, np.min, np.max))])
-    return markdown(["variant", "mean", "least", "largest"], lines)
-
-
 def report(rows: Frame) -> str:
     """All tables."""
+    variants = [name for name in rows.method.unique() if name not in (FULL, *REFERENCE)]
     return "\n\n".join(
         [
             "**F1 of the steps, and of `robust` with one thing changed, by failure**",
             pivot(rows, "method", "regime", digits=3),
             "**F1 minus that of `robust`, case by case and failure by failure**",
-            changes(rows),
+            changes(rows, dict.fromkeys(variants, FULL)),
         ]
     )
 

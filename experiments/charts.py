@@ -7,7 +7,7 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 import pandas as pd
-from tables import Frame, spread, where
+from tables import Frame, front_of, spread, where
 
 from gsc_jax.io.files import atomic
 
@@ -128,8 +128,7 @@ def trade_off(
     palette["robust"] = BLACK
     figure, axes = plt.subplots(2, 2, figsize=(12.5, 8.5), sharey=True, layout="constrained")
     for axis, ((x, y), curves) in zip(axes.T.flat, fronts.items(), strict=True):
-        best = pd.concat(curves.values()).sort_values([x, y], ascending=[True, False])
-        best = best[best[y] > best[y].cummax().shift(fill_value=-1.0)]
+        best = front_of(pd.concat(curves.values()), x, y)
         axis.step(best[x], best[y], where="post", color="#dddddd", lw=8, zorder=0)
         ends = []
         for k, (name, front) in enumerate(curves.items()):

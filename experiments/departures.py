@@ -14,6 +14,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 import pandas as pd
 from cases import Case, calibrated_mixture, detector_masks
+from methods import without_3d
 from observations import CaseObservation, Prediction, observe_regimes
 from runner import FewArgs, measured, scores, start
 from tables import Frame, Row, markdown, write_section
@@ -57,10 +58,6 @@ def _unseen(estimator: GSChecker) -> Unseen:
     return Unseen(**{field.name: getattr(estimator, field.name) for field in fields})
 
 
-def _without_3d(estimator: GSChecker) -> GSChecker:
-    return dataclasses.replace(estimator, loop=dataclasses.replace(estimator.loop, gamma=0.0))
-
-
 BASE = _unseen(OFFICIAL)
 VARIANTS: Mapping[str, Variant] = {
     RELEASED: Variant(BASE),
@@ -70,7 +67,7 @@ VARIANTS: Mapping[str, Variant] = {
     "masks: more than half of the weight of a pixel": Variant(BASE, rule="share"),
     "views in random order": Variant(dataclasses.replace(BASE, shuffle=True)),
     "five epochs": Variant(dataclasses.replace(BASE, epochs=5)),
-    "no 3D loss": Variant(_unseen(_without_3d(OFFICIAL))),
+    "no 3D loss": Variant(_unseen(without_3d(OFFICIAL))),
     HERE: Variant(OFFICIAL, rounded=False),
     "`paper`: the printed equations": Variant(PAPER, rounded=False, rule="attribute"),
 }

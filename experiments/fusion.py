@@ -17,7 +17,7 @@ from cases import UNSEEN, Case, detector_masks
 from export import export
 from methods import ALL_METHODS, seeded
 from observations import CaseObservation, Prediction, observe_regimes
-from runner import Args, judge, measured, start
+from runner import CASE_KEYS, Args, judge, measured, start
 from tables import Frame, Row, markdown, pivot, write_section
 
 from gsc_jax.benchmark.simulate import REGIMES, decoy_labels
@@ -82,8 +82,7 @@ def rows_of(case: Case) -> Iterator[Row]:
 
 def report(rows: Frame) -> str:
     """F1 by method and regime, and the losses against the masks alone."""
-    keys = ["scene", "edit", "seed", "regime"]
-    by_method = rows.pivot_table(index=keys, columns="method", values="f1")
+    by_method = rows.pivot_table(index=CASE_KEYS, columns="method", values="f1")
     lines = []
     for name in by_method.columns.intersection([ATTRIBUTES, WRONG]):
         change = (by_method[name] - by_method[MASKS]).dropna()

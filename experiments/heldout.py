@@ -29,7 +29,7 @@ from bank import (
 )
 from classifier_examples import stored_case
 from runner import measured, refuse_unused, start
-from tables import Frame, Row, markdown, pivot, where, write_section
+from tables import Frame, Row, markdown, pivot, separation, where, write_section
 from tqdm import tqdm
 from without_masks import KeepArgs, classifier_without
 
@@ -139,12 +139,6 @@ def scene_probabilities(edited: Frame, authentic: Frame) -> Iterator[str]:
     lines = [[kind, f"{separation(own, authentic):.2f}", called(own)] for kind, own in some]
     yield f"**AUC of the scene probability by edit**, against all {len(authentic)} authentic cases"
     yield markdown(["edit", "AUC", f"probability of {ALARM} or more"], lines)
-
-
-def separation(edited: Frame, authentic: Frame) -> float:
-    """AUC of the scene probabilities of edited against those of authentic cases."""
-    values = np.append(edited.verdict, authentic.verdict)
-    return auc(values, np.arange(len(values)) < len(edited))
 
 
 def called(rows: Frame) -> str:

@@ -24,7 +24,7 @@ from cases import Case, calibrated_mixture, detector_masks, reduced
 from methods import ALL_METHODS, predict_with
 from observations import CaseObservation, Method, observe_regimes
 from runner import FewArgs, heldout_masks, measured, scores, start
-from tables import Frame, Row, markdown, where, write_section
+from tables import Frame, Row, front_of, markdown, where, write_section
 
 from gsc_jax import load_ply, save_ply
 from gsc_jax.benchmark.simulate import REGIMES
@@ -135,12 +135,6 @@ def averaged(rows: Frame) -> Frame:
     points = groups[["seconds", "with_network", "f1", "f1_mean"]].mean()
     points = points.join(groups[["f1", "f1_mean"]].std().add_suffix("_spread"))
     return points.reset_index().sort_values(["seconds", "f1"], ascending=[True, False])
-
-
-def front_of(points: Frame, x: str = "seconds", y: str = "f1") -> Frame:
-    """Points, the fastest first, whose F1 no faster one reaches."""
-    ordered = points.sort_values([x, y], ascending=[True, False])
-    return ordered[ordered[y] > ordered[y].cummax().shift(fill_value=-1.0)]
 
 
 def extremes(points: Frame) -> Frame:

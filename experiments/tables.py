@@ -7,6 +7,7 @@ from typing import Any, Literal
 import numpy as np
 import pandas as pd
 
+from gsc_jax.benchmark.metrics import auc
 from gsc_jax.io.files import atomic
 
 Row = dict[str, Any]
@@ -67,6 +68,27 @@ def differences(rows: Frame, one: str, other: str) -> np.ndarray:
     """F1 of a method minus that of another, case by case, in the order of the rows."""
     pairs = zip(where(rows, method=one).f1, where(rows, method=other).f1, strict=True)
     return np.array([a - b for a, b in pairs])
+
+
+def changes(rows: Frame, full: Mapping[str, str]) -> str:
+    """Tabulate F1 of variants minus that of the methods they vary, given by name, case by case."""
+    lines = []
+    for name, whole in full.items():
+        change = differences(rows, name, whole)
+        lines.append([name, *(f"{f(change):+.3f}" for f in (np.mean, np.min, np.max))])
+    return markdown(["variant", "mean", "least", "largest"], lines)
+
+
+def front_of(points: Frame, x: str = "seconds", y: str = "f1") -> Frame:
+    """Points, the smallest `x` first, whose `y` no other one of a smaller `x` reaches."""
+    ordered = points.sort_values([x, y], ascending=[True, False])
+    return ordered[ordered[y] > ordered[y].cummax().shift(fill_value=-1.0)]
+
+
+def separation(edited: Frame, authentic: Frame) -> float:
+    """AUC of the scene probabilities of edited against those of authentic cases."""
+    values = np.append(edited.verdict, authentic.verdict)
+    return auc(values, np.arange(len(values)) < len(edited))
 
 
 def markdown(heads: Sequence[str], rows: Sequence[Sequence[object]]) -> str:

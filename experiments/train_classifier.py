@@ -5,9 +5,9 @@
 
 It learns of the cases of bank.py. The classifier of the package is trained on all sources; the
 tables are measured with those that leave out a scene and its captures. A classifier is an ensemble
-of networks. It is calibrated on whole cases, each by a network that was trained without its host,
-too, and is slightly less sure than the ensemble. A first fit chooses the weight of the novelty, a
-second one, with the discriminant, calibrates.
+of networks. It is calibrated on whole cases, each scored by one network that was trained without
+its host, and is slightly less sure than the ensemble. A first fit chooses the weight of the
+novelty, a second one, with the discriminant, calibrates.
 """
 
 import dataclasses

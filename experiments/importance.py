@@ -161,8 +161,8 @@ def report(rows: Frame) -> str:
     whole, losses = where(rows, left_out=NOTHING), rows[rows.left_out != NOTHING]
     own = losses.groupby("left_out", sort=False).loss
     errors = {name: f"{error:.3f}" for name, error in own.sem().items()}
-    groups = own.agg(["mean", "sem"]).drop(list(PARTS))
-    idle = groups[groups["mean"] < ERRORS * groups["sem"]].index
+    groups = own.agg(["mean", "sem"]).drop(list(PARTS), errors="ignore")
+    idle = groups[~(groups["mean"] >= ERRORS * groups["sem"])].index
     means = whole.groupby("edit", sort=False).auc.mean()
     table = pivot(_parts_last(losses), "left_out", "edit", metric="loss", best=None, digits=3)
     return "\n\n".join(

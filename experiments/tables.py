@@ -141,8 +141,9 @@ def _cells(rows: Frame, keys: list[str], metric: str, over: str) -> Frame:
     """Mean over the columns of a table, standard deviation and number of seeds, for each row."""
     down = keys[0]
     means = rows.groupby(keys, sort=False)[metric].mean().groupby(down, sort=False).mean()
-    by_seed = rows.groupby([*keys, over], sort=False)[metric].mean().groupby([down, over]).mean()
-    groups = by_seed.groupby(down)
+    unit = rows[over].rename("unit")
+    by_unit = rows.groupby([*keys, unit])[metric].mean().groupby([down, "unit"]).mean()
+    groups = by_unit.groupby(down)
     return pd.DataFrame({"mean": means, "spread": groups.std(), "seeds": groups.size()})
 
 

@@ -93,14 +93,15 @@ def test_masks_at_random_places_agree_by_chance_only():
     assert agreed < 0.1 < 0.9 < (agreement(observe(ROOM, CAMERAS, truth()).evidence) or 0)
 
 
-@pytest.mark.parametrize(("wrong", "followed"), [(0.01, "brightness"), (0.03, None)])
+@pytest.mark.parametrize(("wrong", "followed"), [(0.01, True), (0.03, False)])
 def test_masks_follow_a_property_if_a_threshold_explains_98_percent_of_the_pixels(wrong, followed):
     """A share of the pixels, at random places, is on the wrong side of the threshold."""
     rng, masks = np.random.default_rng(0), {}
     for camera in CAMERAS:
         dark = render(ROOM, camera)[0].mean(axis=-1) < 0.5
         masks[camera.name] = np.asarray(dark) ^ (rng.random(dark.shape) < wrong)
-    assert followed_property(observe(ROOM, CAMERAS, masks), near=0.2) == followed
+    found = doubts(observe(ROOM, CAMERAS, masks))
+    assert any("follow the brightness" in text for text in found) == followed
 
 
 def test_empty_masks_say_nothing_about_themselves():

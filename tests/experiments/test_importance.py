@@ -50,13 +50,17 @@ def test_groups_are_left_out_alone_and_together():
 
 
 def test_a_part_that_is_left_out_is_not_counted_among_the_groups():
-    losses = {"nothing": 0.0, importance.NO_NOVELTY: 0.0, "size": 0.1, "opacity": -0.01}
+    losses = {"nothing": [0.0, 0.0], importance.NO_NOVELTY: [0.0, 0.0]}
+    losses |= {"size": [0.1, 0.12], "opacity": [-0.01, 0.03]}
     rows = [
         {"edit": "removal", "seed": 0, "left_out": name, "auc": 0.9 - loss, "loss": loss}
-        for name, loss in losses.items()
+        for name, pair in losses.items()
+        for loss in pair
     ]
     text = importance.report(pd.DataFrame(rows))
-    assert "1 of 2 choices lose nothing (less than 0.001 in the mean): opacity." in text
+    assert "1 of 2 choices lose less than 2 standard errors of the mean" in text
+    assert "over all cases: opacity." in text
+    assert "| size | 0.110 | 0.110 | 0.010 |" in text
     assert "| nothing |" not in text
     assert text.index("| opacity |") < text.index("| novelty |")
-    assert text.endswith("AUC of the 1 cases with all features: removal 0.900.")
+    assert text.endswith("AUC of the 2 cases with all features: removal 0.900.")

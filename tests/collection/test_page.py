@@ -12,7 +12,6 @@ from gsc_jax.collection.page import MARK, collection_page
 from gsc_jax.collection.record import complete
 
 ERROR = "</script><b>not a scene</b>"
-SECONDS_TO_OPEN = 10
 
 
 def made_rows(count: int) -> list[dict]:
@@ -87,12 +86,11 @@ def test_scrolling_reaches_the_last_row(browser, tmp_path):
 
 
 def test_a_hundred_thousand_rows_open(browser, tmp_path):
-    start = time.perf_counter()
     opened(browser, tmp_path, made_rows(100_000))
     assert shown(browser) == "100,000 shown"
     sort(browser, 3)
     assert column(browser, 3)[0] == "99,998"
-    assert time.perf_counter() - start < SECONDS_TO_OPEN
+    assert len(column(browser, 0)) < 100, "elements exist for visible rows only"
     assert (tmp_path / "collection.html").stat().st_size < 20e6
 
 

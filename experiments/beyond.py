@@ -120,6 +120,8 @@ VARIANTS: Mapping[str, Method] = {
     FULL: predict_with(DEFAULT),
     "robust: no inverted views": robust_with(inversion=False),
     "robust: no rivals": robust_with(distractors=False),
+    "robust: one start of EM": robust_with(restarts=1),
+    "robust: 8 starts of EM": robust_with(restarts=8),
     "robust: 8 classes": robust_with(classes=(8,)),
     "robust: up to 12 classes": robust_with(classes=(4, 8, 12)),
     "robust: 16 neighbours": robust_with(neighbours=16),

@@ -165,6 +165,20 @@ def test_an_estimator_may_return_more_than_a_finding():
     assert locate(SCENE, cameras(), truths(), config=Own(), prior=False).labels.any()
 
 
+OUTCOMES_OF_FEW = [(1, "inconclusive"), (2, "inconclusive"), (3, "evidence")]
+
+
+@pytest.mark.parametrize(("count", "outcome"), OUTCOMES_OF_FEW)
+def test_fewer_than_three_masks_alone_are_no_evidence(count, outcome):
+    """False alarms agree in so few: a random rectangle in a single view is one region as well."""
+    chosen = dict(list(truths().items())[:count])
+    result = locate(SCENE, cameras(), chosen, prior=False)
+    assert result.outcome == outcome
+    assert result.labels.any(), "what the masks flag is a candidate"
+    warned = any("agree in fewer than 3 masks" in text for text in result.warnings)
+    assert warned == (outcome == "inconclusive")
+
+
 def test_a_single_mask_is_never_taken_for_inverted():
     masks = {"view_0": truths()["view_0"] > 0.5}
     masks["view_0"][:, 12:] = True  # more than half of what is visible

@@ -126,8 +126,8 @@ def test_the_calibrated_mixture_hurts_the_inverse_projection(case):
 def test_rows_of_some_methods_are_merged_with_those_of_the_others(tmp_path):
     key = {"scene": "room", "edit": "removal", "seed": 0, "regime": "clean"}
 
-    def row(name: str, f1: float) -> dict:
-        return {**key, "method": name, "f1": f1}
+    def row(name: str, f1: float, false_area: float = 0.0) -> dict:
+        return {**key, "method": name, "f1": f1, "false_area": false_area}
 
     before = [row(TRUTH, 1.0), row("a", 0.1), row("b", 0.2)]
     write_csv(tmp_path / "x.csv", pd.DataFrame(before))
@@ -139,5 +139,7 @@ def test_rows_of_some_methods_are_merged_with_those_of_the_others(tmp_path):
         runner.measured(args, "x", [[{**row("b", 0.3), "seed": 1}]])
     with pytest.raises(InputError, match="other masks"):
         runner.measured(args, "x", [[row(TRUTH, 0.9), row("b", 0.3)]])
+    with pytest.raises(InputError, match="other masks"):
+        runner.measured(args, "x", [[row(TRUTH, 1.0, 0.2), row("b", 0.3)]])
     with pytest.raises(InputError, match="expected some of a, b"):
         args.among({"a": labelled, "b": labelled})  # pyright: ignore[reportArgumentType]

@@ -40,6 +40,8 @@ EVEN_RATE, LOG_ODDS_PER_RATE = 0.55, 12.0
 """Logistic regression of "edited" on the flag rate of the tampered class."""
 PSEUDO_VIEWS = 2.0
 """Pseudo-views at the even rate, so that few views give a probability near one half."""
+MIN_MASKS, MAX_OF_FEW = 3, 0.6
+"""Masks from which the scene probability may exceed `MAX_OF_FEW`: false alarms in fewer agree."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -65,6 +67,12 @@ class Roles:
     def views(self) -> float:
         """Number of views that see the first tampered class."""
         return float(self.seen[np.argmax(self.tampered)])
+
+    @property
+    def scene_probability(self) -> float:
+        """`scene_probability` of the first tampered class; less for few masks."""
+        found = scene_probability(self.rate, self.views)
+        return found if len(self.inverted) >= MIN_MASKS else min(found, MAX_OF_FEW)
 
 
 def scene_probability(rate: float, views: float) -> float:

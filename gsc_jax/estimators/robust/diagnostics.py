@@ -3,7 +3,7 @@
 import numpy as np
 
 from gsc_jax.estimators.protocol import DISAGREEMENT, Prior, Reliability
-from gsc_jax.estimators.robust.class_roles import FULL_VIEW, Roles
+from gsc_jax.estimators.robust.class_roles import FULL_VIEW, MIN_MASKS, Roles
 from gsc_jax.evidence.lifting import EvidenceOfViews
 
 MIN_SHARE = 0.05
@@ -49,6 +49,8 @@ def warnings(
     else:
         rate = f" No region is flagged in more than {roles.rate:.0%} of the views that see it."
         sentences = [DISAGREEMENT + rate + FROM_PRIOR * bool(labels.any())]
+    if len(roles.inverted) < MIN_MASKS and labels.any():
+        sentences.append(f"False alarms often agree in fewer than {MIN_MASKS} masks; give more.")
     if roles.inverted.mean() > 0.5:
         sentences.append(
             f"{roles.inverted.sum()} of {len(roles.inverted)} masks flag the larger part of the "

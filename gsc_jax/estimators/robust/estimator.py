@@ -124,13 +124,13 @@ class RobustEstimator(Estimator):
         lifted = self.from_masks(evidence, means, flagged=not trivial)
         agreed = lifted.probability > 0.5
         roles = lifted.roles if agreed.any() else None
-        from_masks = scene_probability(*((roles.rate, roles.views) if roles else (0.0, views)))
+        from_masks = roles.scene_probability if roles else scene_probability(0.0, views)
         probability, verdict, known, rank = lifted.probability, from_masks, lifted.seen, None
         if prior is not None:
             if roles and from_masks < prior_fusion.SURE and self.prior_weight >= 0.5:
                 dropped = prior_fusion.refuted(roles.tampered, lifted.region, prior, means)
                 roles = dataclasses.replace(roles, tampered=roles.tampered & ~dropped)
-                from_masks = scene_probability(roles.rate, roles.views)
+                from_masks = roles.scene_probability
                 probability = np.where(dropped[lifted.region], np.float32(0), probability)
             if not prior.exact and from_masks >= prior_fusion.MIN_MASK_VERDICT:
                 rank = prior_fusion.rank_in_scene(prior, probability > 0.5, means)

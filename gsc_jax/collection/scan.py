@@ -1,5 +1,6 @@
 """The scan: a Ray dataset of scenes to one of rows, with an actor per worker."""
 
+import sys
 from typing import TYPE_CHECKING, Any, cast
 
 from gsc_jax.collection.record import finished_scenes
@@ -60,5 +61,5 @@ def import_ray() -> Any:
         import ray
         import ray.data
     except ImportError as error:
-        raise InputError("scan: needs Ray: pip install 'gsc_jax[cluster]'") from error
+        raise InputError(f"scan: needs Ray: {sys.executable} -m pip install 'ray[data]'") from error
     return ray

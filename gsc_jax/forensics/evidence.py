@@ -117,10 +117,11 @@ def combine(output: Classification, traces: Sequence[Trace]) -> ForensicEvidence
     log_odds = add_traces(output.log_odds, traces)
     level = label_level(output, traces)
     probability = np.where(output.known, expit(log_odds - level), 0).astype(np.float32)
+    scene = output.scene_probability if output.known.any() else 0.5  # nothing was scored
     strongest = max((float(trace.score.max(initial=0)) for trace in traces), default=0.0)
     return ForensicEvidence(
         probability=probability,
-        verdict=1 - (1 - output.scene_probability) * (1 - strongest),
+        verdict=1 - (1 - scene) * (1 - strongest),
         known=output.known,
         exact=_identified(probability > 0.5, traces),
         log_odds=log_odds,

@@ -36,11 +36,11 @@ ATTRIBUTES_ONLY = "native"
 RUNS: dict[str, Method] = {ATTRIBUTES_ONLY: "robust", **{name: name for name in get_args(Method)}}
 """Runs by folder, each with its method; the first without masks."""
 EXPLANATION = """\
-robust estimates the reliability of every mask and uses the attributes of the Gaussians;
-native uses the attributes alone, with a classifier that was trained on this room and such a
-vase: docs/results.md has its scores on other scenes. GS-Checker trusts all masks: official
-follows its released code, with one pass of optimisation after the vote; paper makes five
-passes, in which every view without the vase in its mask counts ten times."""
+robust estimates the reliability of every mask, and uses the attributes of the Gaussians. native
+uses these alone, by a classifier that was trained on this room and such a vase (docs/results.md
+has other scenes): it says where an edit would be, its report how likely there is one. GS-Checker
+trusts all masks: official follows its released code, with one pass of optimisation after the
+vote; paper makes five, in which every view without the vase in its mask counts ten times."""
 
 Views = dict[str, np.ndarray]
 """An image or mask by camera name."""

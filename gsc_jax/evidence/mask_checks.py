@@ -21,7 +21,7 @@ MIN_ACCURACY = 0.98
 (experiments/mask_checks.py)."""
 MIN_CORRELATION = 0.1
 """Correlation below which the masks of other views say nothing about those of a view: that of false
-blobs is lower, that of the mixture of all failures higher."""
+blobs is mostly lower, that of the mixture of all failures higher."""
 STRIDE = 2
 """Pixels from one to the next that is compared, along rows and columns."""
 QUANTILES = 64

@@ -221,7 +221,7 @@ def summary(located: Located, out: Path) -> list[str]:
         *([f"contrast {beside}"] if beside else []),
         *(f"trace    {trace.explanation}" for trace in found_traces(result)),
         f"method   {result.method}",
-        f"time     {result.seconds:.1f} s (most work: {times})",
+        f"time     {result.seconds:.1f} s (most work, over all threads: {times})",
         f"report   {out / 'report.html'}",
         f"images   {out / 'overview.png'}, {out / 'overlay'}",
         f"scene    {out / 'tamper.ply'}; for any viewer: {out / 'highlight.ply'}",

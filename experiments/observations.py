@@ -81,7 +81,9 @@ class Tallied(Observation):
 
 
 def observe_regimes(case: Case, masks: Mapping[str, np.ndarray]) -> dict[str, CaseObservation]:
-    """Lift every set of masks (V, H, W) of a case, with one accumulation per view."""
+    """Lift every set of masks (V, H, W) of a case, if any, with one accumulation per view."""
+    if not masks:
+        return {}
     gaussians, cameras, names = case.gaussians, case.scene.cameras, list(masks)
     views = [make_view(gaussians, camera) for camera in cameras]
     total = np.zeros((len(cameras), len(gaussians)), np.float32)

@@ -202,7 +202,7 @@ def seen_from(case: Case, cameras: list[Camera]) -> Case:
 
 
 def failures_without(edit: str, failures: Mapping[str, Failures]) -> dict[str, Failures]:
-    """Failures to measure on the scene before an edit of this kind, none of them twice.
+    """Failures of the detector to measure on the authentic scene of an edit of this kind.
 
     The region of the edit is the decoy. Before an incorporation, the masks of the object correspond
     to no surface, so nothing is measured; without a decoy, all kinds of edit have the same masks.

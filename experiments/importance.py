@@ -45,7 +45,7 @@ PARTS = NO_NOVELTY, NO_NETWORKS, NO_DISCRIMINANT
 MEMBERS = 2
 """Networks of an ensemble: AUC varies between those of other seeds."""
 ERRORS = 2
-"""Standard errors of a mean loss of AUC within which it may be chance."""
+"""A mean loss of AUC below this many of its standard errors may be chance."""
 Groups = tuple[str, ...]
 
 

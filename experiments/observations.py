@@ -81,7 +81,7 @@ class Tallied(Observation):
 
 
 def observe_regimes(case: Case, masks: Mapping[str, np.ndarray]) -> dict[str, CaseObservation]:
-    """Lift every set of masks (V, H, W) of a case, if any, with one accumulation per view."""
+    """Lift each set of masks (V, H, W) of a case; one accumulation per view serves all sets."""
     if not masks:
         return {}
     gaussians, cameras, names = case.gaussians, case.scene.cameras, list(masks)

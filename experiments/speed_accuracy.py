@@ -36,7 +36,8 @@ VIEWS, SCALES = (4, 8, 12, 18), (0.25, 0.5, 1.0)
 VOTERS = "inverse projection", "mode vote", "SAGD vote"
 SETTING = ["method", "epochs", "views", "scale"]
 RELEASED, RENDERED = "GS-Checker official, attribute", "GS-Checker official, rendered"
-"""The released schedule with the mask rule of the release; the other methods use that of shares."""
+"""Both use the rule of the released code for the mask of a view; the other methods flag a pixel if
+more than half of its weight is of labelled Gaussians."""
 WITHOUT_EVIDENCE = (*VOTERS, RENDERED)
 """Methods that need the votes of the views, but not the evidence."""
 VARIANTS: dict[tuple[str, int | str], Method] = {

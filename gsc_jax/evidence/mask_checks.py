@@ -69,7 +69,7 @@ def same_pixels(observation: Observation) -> bool:
 
 
 def best_property(observation: Observation, *, near: float = NEAR) -> tuple[str, float]:
-    """Property of the images that tells best what up to `CHECKED` partly flagged masks flag.
+    """Property, such as brightness, that best predicts `CHECKED` masks that flag a part of a view.
 
     Returns its name and the balanced accuracy of one threshold; "" and 0 for fewer than two masks.
     """

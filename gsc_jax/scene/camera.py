@@ -81,8 +81,8 @@ def check_camera(camera: Camera) -> None:
             )
         if name == "viewmat" and np.linalg.cond(values[:3, :3]) > 1e6:
             raise InputError(f"{wanted} invertible, got {values.tolist()}")
-        # A skew of a thousandth of the focal length moves no pixel by a thousandth of the image.
-        pinhole = abs(values[[0, 1], [1, 0]]).max() < 1e-3 * values[0, 0] and values[1, 1] > 0
+        # Less skew than this moves pixels by less than a ten-thousandth of the image height.
+        pinhole = abs(values[[0, 1], [1, 0]]).max() <= 1e-4 * values[0, 0] and values[1, 1] > 0
         if name == "K" and not pinhole:
             raise InputError(f"{wanted} without skew, focal lengths above 0, got {values.tolist()}")
 

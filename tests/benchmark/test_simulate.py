@@ -114,7 +114,7 @@ def test_the_median_radius_of_blobs_is_their_size_times_the_diagonal():
 
 @pytest.mark.parametrize("boundary", [2.0, 3.0])
 def test_boundary_is_the_standard_deviation_of_the_position_of_edges(boundary):
-    """Of 64 edges 256 pixels long: a displacement extends over about ten times its pixels."""
+    """Over 64 edges of 256 pixels, since neighbouring pixels of an edge are displaced together."""
     y, _ = np.indices((64, 256))
     truth = np.repeat([y < 32], 64, axis=0)
     edges = flagged_rows(truth, boundary=boundary)

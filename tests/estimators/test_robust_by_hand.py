@@ -15,7 +15,8 @@ from gsc_jax.evidence.lifting import Evidence
 
 VIEWS = 12
 FLAGGED = np.zeros((4, VIEWS), bool)
-"""Views that flag each class: the authentic one, the edit, and two similar distractors."""
+"""Whether each view flags a group of Gaussians: authentic ones, the edit, and two authentic regions
+that are flagged in nearly the same views."""
 FLAGGED[1] = FLAGGED[2, :7] = FLAGGED[3, [0, 1, 2, 3, 4, 5, 7]] = True
 KINDS = np.repeat(np.arange(4), [120, 40, 20, 20])
 AUTHENTIC, EDIT = (np.flatnonzero(kind == KINDS) for kind in (0, 1))
@@ -26,7 +27,7 @@ ODD = np.array([200.0, 0, 0])
 
 
 def log_odds_of_one(share: list[float], *, smoothing: float, near: np.ndarray = KINDS[:0]) -> float:
-    """Log odds of an edit for one odd Gaussian, of which the masks flag these shares by view.
+    """Log odds that one Gaussian is edited, whose weight is in the masks to these shares by view.
 
     The Gaussians `near` it, at distances of 1, 2, ..., have a class; all others are far away.
     """

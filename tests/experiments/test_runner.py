@@ -86,7 +86,7 @@ def test_scores_by_hand():
 
 
 def test_a_level_holds_for_the_feature_relative_to_alpha_or_for_the_feature_itself():
-    """Two Gaussians far apart, with alpha 0.5 and 0.8 at their centres, in the pixels 4 and 12."""
+    """Two Gaussians stand apart, with alpha 0.5 in pixel 4 and 0.8 in pixel 12."""
     alpha = np.array([0.5, 0.8], np.float32)
     gaussians = blobs([[-0.8, 0, 4], [0.8, 0, 4]], scale=0.05)
     gaussians = dataclasses.replace(gaussians, logit_opacities=logit(alpha))

@@ -69,8 +69,8 @@ COUNTS: dict[str, dict[Outcome, tuple[int, int]]] = {
     "masks": {"evidence": (3, 91), "inconclusive": (8, 12), "none": (19, 2)},
     "attributes": {"evidence": (0, 85), "inconclusive": (9, 52), "none": (85, 143)},
 }
-"""Numbers of authentic and of edited test scenes with each outcome, by kind of evidence. Their
-tables, in this order: docs/beside_masks.csv, docs/calibration.csv and docs/heldout.csv."""
+"""By kind of evidence and by outcome, how many authentic and how many edited test scenes had it;
+counted in docs/beside_masks.csv, docs/calibration.csv and docs/heldout.csv, in this order."""
 MIN_RATIO = 3
 """Ratio of the shares of edited and authentic scenes below which an outcome says little."""
 ROUNDED_SHARE = 0.0005
@@ -100,7 +100,7 @@ def headline(verdict: float | None, tampered: int) -> str:
 
 
 def basis(verdict: float | None, masks: object, alone: float | None) -> str:
-    """The kind of evidence behind a scene probability; `alone` is that of the attributes alone."""
+    """What evidence a scene probability uses; `alone` is the probability by the attributes only."""
     # Masks that are no evidence leave that of the attributes as it is.
     if masks and alone is not None and verdict != alone:
         return "masks and attributes"

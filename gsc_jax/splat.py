@@ -267,9 +267,7 @@ def render_view(
 def accumulate_maps(
     gaussians: Gaussians, camera: Cameras, maps: Array | Sequence[Array], *, near: float = NEAR
 ) -> jax.Array:
-    """Lift maps to the Gaussians: the adjoint of `render_features`.
-
-    Exported as `gsc_jax.accumulate`.
+    """Lift maps to the Gaussians: the adjoint of `render_features`; exported as `accumulate`.
 
     Args:
         gaussians: N Gaussians.

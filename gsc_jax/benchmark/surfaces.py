@@ -153,9 +153,7 @@ def _image(name: str, block: int = 1) -> np.ndarray:
         return downscale_local_mean(_image(name), (block, block, 1))
     path = importlib.resources.files("skimage") / "data" / name
     if not path.is_file():
-        raise InputError(
-            f"{path}: texture not found; reinstall scikit-image >= 0.24 from its wheel"
-        )
+        raise InputError(f"{path}: texture not found; reinstall scikit-image from its wheel")
     image = np.asarray(Image.open(io.BytesIO(path.read_bytes())), np.float32) / 255
     return np.repeat(image[..., None], 3, -1) if image.ndim == 2 else image[..., :3]
 

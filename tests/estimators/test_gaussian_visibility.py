@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gsc_jax.estimators.robust.class_roles import assign_roles
-from gsc_jax.estimators.robust.estimator import pattern_distance
+from gsc_jax.estimators.robust.estimator import pattern_errors
 from gsc_jax.estimators.robust.gaussian_visibility import stratified_sample, visibility
 from gsc_jax.evidence.lifting import Evidence
 
@@ -24,7 +24,7 @@ def test_a_sample_is_half_flagged_and_represents_all_visible_gaussians():
     assert 45 <= (faint < 50).sum() <= 60
 
 
-def test_pattern_distance_counts_views_that_contradict_a_pattern():
+def test_pattern_errors_count_views_that_contradict_a_pattern():
     total = np.array([[8.0, 8.0], [8.0, 0.0]], np.float32)
     evidence = Evidence(total=total, tampered=np.array([[8.0, 2.0], [0.0, 0.0]], np.float32))
     looked, flagged = visibility(evidence, slice(None), 8.0)
@@ -32,6 +32,7 @@ def test_pattern_distance_counts_views_that_contradict_a_pattern():
     assert flagged.tolist() == [[0.5, 0.125], [0.0, 0.0]]
     roles = assign_roles(np.array([[0.1, 0.1], [0.9, 0.9]]), np.array([[9.0, 9.0], [1.0, 1.0]]))
     assert roles is not None
-    # From the authentic class it is what was flagged, from the tampered class what was not.
-    expected = [[0.5, 0.5], [0.125, 0.375]]
-    assert pattern_distance(evidence, roles, 8.0).tolist() == expected
+    # What is flagged contradicts the authentic class, what is not the tampered class.
+    false_alarms, misses = pattern_errors(evidence, roles, 8.0)
+    assert false_alarms.tolist() == [[0.5, 0.0], [0.125, 0.0]]
+    assert misses.tolist() == [[0.0, 0.5], [0.0, 0.375]]

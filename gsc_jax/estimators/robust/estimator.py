@@ -169,7 +169,13 @@ class RobustEstimator(Estimator):
         if roles is None:
             nothing = np.zeros(len(seen), np.float32)
             return MaskEstimate(probability=nothing, seen=seen, region=nothing.astype(np.int8))
-        logits = -self.class_log_odds * pattern_distance(evidence, roles, self.half_weight)
+        false_alarms, misses = pattern_errors(evidence, roles, self.half_weight)
+        logits = -self.class_log_odds * (false_alarms + misses)
+        authentic = ~roles.tampered[logits.argmax(axis=1)]
+        rate = false_alarms[authentic, 0].sum() / max(seen_sum[authentic].sum(), 1e-30)
+        # The log odds allow for a rate of 1 / (1 + exp(log odds)); a higher one lowers them.
+        excess = np.log(np.clip(rate, 1e-30, 0.5)) + np.logaddexp(0, self.class_log_odds)
+        logits += np.float32(max(excess, 0.0)) * false_alarms
         class_probability = smooth(
             logits, roles.tampered, means, seen, strength=self.smoothing, neighbours=self.neighbours
         )
@@ -218,15 +224,19 @@ class MaskEstimate:
     roles: Roles | None = None
 
 
-def pattern_distance(evidence: EvidenceOfViews, roles: Roles, half_weight: float) -> np.ndarray:
-    """Number of views, weighted by visibility, in which a Gaussian differs from each class pattern.
+def pattern_errors(
+    evidence: EvidenceOfViews, roles: Roles, half_weight: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """False alarms and misses of the masks at each Gaussian, if it has the pattern of a class.
 
-    Between 0 and V, shape (N, C) float32; the visibility is one half at `half_weight` pixels.
+    Numbers of views, weighted by visibility, which is one half at `half_weight` pixels; their sum
+    is between 0 and V. Shapes (N, C) float32.
     """
-    patterns = roles.patterns.astype(np.float32)
-    distance = np.empty((evidence.shape[1], len(patterns)), np.float32)
-    for block in blocks(len(distance), gaussian_visibility.BLOCK):
+    patterns = roles.patterns.T.astype(np.float32)
+    false_alarms, misses = np.empty((2, evidence.shape[1], len(roles.patterns)), np.float32)
+    for block in blocks(len(misses), gaussian_visibility.BLOCK):
         seen, flagged = gaussian_visibility.visibility(evidence, block, half_weight)
         flagged = np.where(roles.inverted[:, None], seen - flagged, flagged)
-        distance[block] = (seen - 2 * flagged).T @ patterns.T + flagged.sum(axis=0)[:, None]
-    return distance
+        false_alarms[block] = flagged.T @ (1 - patterns)
+        misses[block] = (seen - flagged).T @ patterns
+    return false_alarms, misses

@@ -34,7 +34,8 @@ def run_verify(options: Verify) -> tuple[list[str], list[str]]:
     out = options.folder
     listed = {name: digests for name in REPORTS if (digests := listed_outputs(out, name))}
     if not listed:
-        raise InputError(f"{out}: holds no results with digests ({', '.join(REPORTS)})")
+        kind = "holds" if out.is_dir() else "is no folder, and holds"
+        raise InputError(f"{out}: {kind} no results with digests ({', '.join(REPORTS)})")
     report, outputs = next(iter(listed.items()))
     del outputs[report]
     gone = [f"{out / x}: is missing, {report} lists it" for x in outputs if not is_inside(out, x)]

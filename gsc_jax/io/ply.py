@@ -81,10 +81,17 @@ class PlyScene:
 
 
 def read_ply(path: str | Path, *, max_bytes: int | None = None) -> PlyScene:
-    """Read a scene with the whole content of its file; the arguments are those of `load_ply`.
+    """Read a scene with the whole content of its file.
 
     Supported are the INRIA, gsplat, SuperSplat, GS-Checker and 2DGS layouts of degree 0 to 3, and
     those of `gsc_jax.io.compressed`. The file may be overwritten afterwards. Ascii is very slow.
+
+    Args:
+        path: A .ply, .compressed.ply, .spz, .sog, .splat, .ksplat or .glb, or a SOG folder.
+        max_bytes: Memory that may be allocated; see `memory_limit` for the default.
+
+    Returns:
+        The scene; `dropped` counts the Gaussians that cannot be rendered.
 
     Raises:
         InputError: If the file is missing, not a PLY or damaged, lacks properties, holds no

@@ -42,7 +42,9 @@ def test_files_that_changed_or_are_missing_are_named(found):
 
 
 def test_a_folder_without_results_is_refused(tmp_path):
-    assert "holds no results" in refused("verify", tmp_path)
+    assert f"{tmp_path}: holds no results" in refused("verify", tmp_path)
+    missing = refused("verify", tmp_path / "no")
+    assert "is no folder, and holds no results" in missing
 
 
 def test_a_report_from_elsewhere_reads_no_device_and_raises_nothing(found):

@@ -224,19 +224,17 @@ class MaskEstimate:
     roles: Roles | None = None
 
 
-def pattern_errors(
-    evidence: EvidenceOfViews, roles: Roles, half_weight: float
-) -> tuple[np.ndarray, np.ndarray]:
+def pattern_errors(evidence: EvidenceOfViews, roles: Roles, half_weight: float) -> np.ndarray:
     """False alarms and misses of the masks at each Gaussian, if it has the pattern of a class.
 
     Numbers of views, weighted by visibility, which is one half at `half_weight` pixels; their sum
-    is between 0 and V. Shapes (N, C) float32.
+    is between 0 and V. Both in one array, shape (2, N, C) float32.
     """
     patterns = roles.patterns.T.astype(np.float32)
-    false_alarms, misses = np.empty((2, evidence.shape[1], len(roles.patterns)), np.float32)
-    for block in blocks(len(misses), gaussian_visibility.BLOCK):
+    errors = np.empty((2, evidence.shape[1], len(roles.patterns)), np.float32)
+    for block in blocks(errors.shape[1], gaussian_visibility.BLOCK):
         seen, flagged = gaussian_visibility.visibility(evidence, block, half_weight)
         flagged = np.where(roles.inverted[:, None], seen - flagged, flagged)
-        false_alarms[block] = flagged.T @ (1 - patterns)
-        misses[block] = (seen - flagged).T @ patterns
-    return false_alarms, misses
+        errors[0, block] = flagged.T @ (1 - patterns)
+        errors[1, block] = (seen - flagged).T @ patterns
+    return errors

@@ -36,7 +36,7 @@ pytestmark = [
 ]
 
 COUNT = 1_500
-SECONDS = 90
+SECONDS = 300
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -53,7 +53,8 @@ class RobustEstimator(Estimator):
         effective_pixels: Number of independent pixels that a full view counts in EM.
         inversion: Whether masks may be inverted, if there is more than one.
         distractors: Whether authentic regions may be flagged consistently in some views.
-        class_log_odds: Log odds between two classes from one full view that separates them.
+        class_log_odds: Log odds between two classes from one full view that separates them, where
+            false alarms are rare.
         smoothing: Log odds from neighbours that all belong to one class; 0 disables smoothing.
         neighbours: Number of neighbours for smoothing.
         prior_weight: Weight of the prior, in [0, 1]; 0 ignores it, and below 0.5 it does not

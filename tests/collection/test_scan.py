@@ -227,6 +227,7 @@ def test_a_killed_scan_continues(tmp_path):
     driver = subprocess.Popen(program, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     end = time.monotonic() + SECONDS
     while len(list((tmp_path / "out").rglob("*-*.parquet"))) < 2 and time.monotonic() < end:
+        assert driver.poll() is None, "the scan ended before it was killed"
         time.sleep(0.05)
     driver.kill()
     driver.wait()

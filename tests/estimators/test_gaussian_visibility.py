@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gsc_jax.estimators.robust.class_roles import assign_roles
+from gsc_jax.estimators.robust.class_roles import Roles, assign_roles
 from gsc_jax.estimators.robust.estimator import pattern_errors
 from gsc_jax.estimators.robust.gaussian_visibility import stratified_sample, visibility
 from gsc_jax.evidence.lifting import Evidence
@@ -36,3 +36,19 @@ def test_pattern_errors_count_views_that_contradict_a_pattern():
     false_alarms, misses = pattern_errors(evidence, roles, 8.0)
     assert false_alarms.tolist() == [[0.5, 0.0], [0.125, 0.0]]
     assert misses.tolist() == [[0.0, 0.5], [0.0, 0.375]]
+
+
+def test_pattern_errors_of_a_mixed_pattern_with_an_inverted_view():
+    evidence = Evidence(
+        total=np.full((2, 1), 8, np.float32), tampered=np.array([[2], [6]], np.float32)
+    )
+    roles = Roles(
+        inverted=np.array([False, True]),
+        patterns=np.array([[False, False], [True, False]]),
+        tampered=np.array([False, True]),
+        rates=np.zeros(2),
+        seen=np.ones(2),
+    )
+    false_alarms, misses = pattern_errors(evidence, roles, 8.0)
+    assert false_alarms.tolist() == [[0.25, 0.125]]
+    assert misses.tolist() == [[0.0, 0.375]]

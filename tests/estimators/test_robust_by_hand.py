@@ -11,6 +11,7 @@ import pytest
 from failing_masks import ESTIMATOR
 from scipy.special import logit
 
+from gsc_jax.estimators.robust.estimator import flag_weight
 from gsc_jax.evidence.lifting import Evidence
 
 VIEWS = 12
@@ -32,14 +33,16 @@ def log_odds_of_one(
     smoothing: float = 0.0,
     near: np.ndarray = KINDS[:0],
     false_alarms: float = 0.0,
+    inverted: int = 0,
 ) -> float:
     """Log odds that one Gaussian is edited, whose weight is in the masks to these shares by view.
 
     The Gaussians `near` it, at distances of 1, 2, ..., have a class; all others are far away. The
-    masks have a share of `false_alarms` of each authentic Gaussian.
+    masks have a share of `false_alarms` of each authentic Gaussian; the first ones are `inverted`.
     """
     shares = np.vstack([FLAGGED[KINDS].astype(float), share])
     shares[AUTHENTIC] = false_alarms
+    shares[:, :inverted] = 1 - shares[:, :inverted]
     total = np.full(shares.T.shape, 1e6, np.float32)
     means = np.random.default_rng(0).normal(size=(len(shares), 3))
     means[-1] = ODD
@@ -78,16 +81,48 @@ def test_eight_neighbours_share_the_log_odds_of_smoothing(of_the_edit):
     assert found == pytest.approx(1.5 + message, abs=0.01)
 
 
+@pytest.mark.parametrize("inverted", [0, 4])
 @pytest.mark.parametrize("views", [7, 8])
 @pytest.mark.parametrize("false_alarms", [0.02, 0.05, 0.2])
-def test_a_flag_counts_less_where_masks_have_many_false_alarms(views, false_alarms):
+def test_a_flag_counts_less_where_masks_have_many_false_alarms(views, false_alarms, inverted):
     """The log odds of 3 allow for false alarms in 1 / (1 + e^3), 4.7 %, of the authentic views."""
     decoys = 2 * 20 * 7
     rate = (1200 * 12 * false_alarms + decoys) / (1240 * 12)
     of_a_flag = 3 - max(np.log(rate * (1 + np.exp(3))), 0)
     assert (of_a_flag < 3) == (false_alarms > 0.03)
-    found = log_odds_of_one([0.0] * (12 - views) + [1.0] * views, false_alarms=false_alarms)
+    share = [0.0] * (12 - views) + [1.0] * views
+    found = log_odds_of_one(share, false_alarms=false_alarms, inverted=inverted)
     assert found == pytest.approx(of_a_flag * views - 3 * (12 - views), abs=0.02)
+
+
+def test_a_flag_counts_less_against_distractors_too():
+    """Two flags that a decoy should not have, against three misses of the edit."""
+    share = [1.0] * 8 + [1, 0, 0, 0]
+    rate = (1200 * 12 * 0.2 + 2 * 20 * 7) / (1240 * 12)
+    of_a_flag = 3 - np.log(rate * (1 + np.exp(3)))
+    flags, misses = 2, 3
+    found = log_odds_of_one(share, false_alarms=0.2)
+    assert found == pytest.approx(of_a_flag * flags - 3 * misses, abs=0.02)
+
+
+@pytest.mark.parametrize("log_odds", [1e-9, 0.5, 3, 40, 1e9])
+def test_weight_of_a_flag(log_odds):
+    error = np.exp(-np.logaddexp(0, log_odds))
+    assert flag_weight(log_odds, 0.0) == pytest.approx(min(log_odds, 300 * np.log(10)))
+    assert flag_weight(log_odds, error / 2) == pytest.approx(flag_weight(log_odds, 0.0))
+    for rate in (0.1, 0.3, 0.5):
+        weight = min(log_odds, np.log((1 - error) / rate))
+        assert flag_weight(log_odds, np.float32(rate)) == pytest.approx(weight, rel=1e-5, abs=1e-7)
+    assert flag_weight(log_odds, 0.9) == flag_weight(log_odds, 0.5) > 0
+
+
+@pytest.mark.parametrize("log_odds", [0.5, 3, 1e3, 1e9])
+def test_any_log_odds_label_an_edit_that_all_masks_show(log_odds):
+    total = np.full((VIEWS, len(KINDS)), 1e6, np.float32)
+    evidence = Evidence(total=total, tampered=total * FLAGGED[KINDS].T)
+    estimator = dataclasses.replace(FOUR_CLASSES, class_log_odds=log_odds)
+    found = estimator.from_masks(evidence, np.random.default_rng(0).normal(size=(len(KINDS), 3)))
+    np.testing.assert_array_equal(found.probability > 0.5, KINDS == 1)
 
 
 def test_another_seed_gives_other_starts():
@@ -98,6 +133,8 @@ def test_another_seed_gives_other_starts():
     one_start = dataclasses.replace(FOUR_CLASSES, restarts=1)
     estimators = [dataclasses.replace(one_start, seed=seed) for seed in (0, 0, 1)]
     means = np.zeros((len(KINDS) + 1, 3))
-    one, same, other = (each.from_masks(noise, means).probability for each in estimators)
-    np.testing.assert_array_equal(one, same)
-    assert np.abs(logit(one) - logit(other)).max() > 1
+    one, same, other = (each.from_masks(noise, means) for each in estimators)
+    np.testing.assert_array_equal(one.probability, same.probability)
+    assert one.roles is not None
+    assert other.roles is not None
+    assert one.roles.inverted.tolist() != other.roles.inverted.tolist()

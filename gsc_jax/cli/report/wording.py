@@ -32,11 +32,7 @@ class Located:
 RELIABILITY: dict[Reliability, tuple[str, str, str]] = {
     "reliable": ("●", "reliable", "The mask flags most of what is labelled in the view."),
     "inverted": ("◇", "inverted", "The mask flags everything except the edit; it is inverted."),
-    "uninformative": (
-        "▽",
-        "uninformative",
-        "The mask does not flag most of what is labelled.",
-    ),
+    "uninformative": ("▽", "uninformative", "The mask does not flag most of what is labelled."),
     "unseen": ("✕", "too little in view", "The view shows too little of the edit to judge a mask."),
 }
 """Sign, name and explanation of each reliability of a mask, the most useful first."""

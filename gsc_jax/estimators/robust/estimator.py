@@ -53,8 +53,7 @@ class RobustEstimator(Estimator):
         effective_pixels: Number of independent pixels that a full view counts in EM.
         inversion: Whether masks may be inverted, if there is more than one.
         distractors: Whether authentic regions may be flagged consistently in some views.
-        class_log_odds: Log odds between two classes from one full view that separates them, where
-            false alarms are rare.
+        class_log_odds: Log odds between two classes from one full view that separates them.
         smoothing: Log odds from neighbours that all belong to one class; 0 disables smoothing.
         neighbours: Number of neighbours for smoothing.
         prior_weight: Weight of the prior, in [0, 1]; 0 ignores it, and below 0.5 it does not
@@ -171,12 +170,10 @@ class RobustEstimator(Estimator):
             nothing = np.zeros(len(seen), np.float32)
             return MaskEstimate(probability=nothing, seen=seen, region=nothing.astype(np.int8))
         false_alarms, misses = pattern_errors(evidence, roles, self.half_weight)
-        logits = -self.class_log_odds * (false_alarms + misses)
-        authentic = ~roles.tampered[logits.argmax(axis=1)]
-        rate = false_alarms[authentic, 0].sum() / max(seen_sum[authentic].sum(), 1e-30)
-        # The log odds allow for a rate of 1 / (1 + exp(log odds)); a higher one lowers them.
-        excess = np.log(np.clip(rate, 1e-30, 0.5)) + np.logaddexp(0, self.class_log_odds)
-        logits += np.float32(max(excess, 0.0)) * false_alarms
+        authentic = ~roles.tampered[(false_alarms + misses).argmin(axis=1)]
+        rate = false_alarms[authentic, 0].sum(dtype=float) / max(seen_sum[authentic].sum(), 1e-30)
+        of_flag = flag_weight(self.class_log_odds, rate)
+        logits = -of_flag * false_alarms - self.class_log_odds * misses
         class_probability = smooth(
             logits, roles.tampered, means, seen, strength=self.smoothing, neighbours=self.neighbours
         )
@@ -228,14 +225,21 @@ class MaskEstimate:
 def pattern_errors(evidence: EvidenceOfViews, roles: Roles, half_weight: float) -> np.ndarray:
     """False alarms and misses of the masks at each Gaussian, if it has the pattern of a class.
 
-    Numbers of views, weighted by visibility, which is one half at `half_weight` pixels; their sum
-    is between 0 and V. Both in one array, shape (2, N, C) float32.
+    Numbers of views, weighted by visibility (one half at `half_weight` pixels), (2, N, C) float32.
     """
     patterns = roles.patterns.T.astype(np.float32)
     errors = np.empty((2, evidence.shape[1], len(roles.patterns)), np.float32)
     for block in blocks(errors.shape[1], gaussian_visibility.BLOCK):
         seen, flagged = gaussian_visibility.visibility(evidence, block, half_weight)
         flagged = np.where(roles.inverted[:, None], seen - flagged, flagged)
-        errors[0, block] = flagged.T @ (1 - patterns)
-        errors[1, block] = (seen - flagged).T @ patterns
+        errors[:, block] = flagged.T @ (1 - patterns), (seen - flagged).T @ patterns
     return errors
+
+
+def flag_weight(log_odds: float, rate: float) -> float:
+    """Log odds of a flagged view against a class that it should not flag, at most `log_odds`.
+
+    These allow for errors in 1 / (1 + exp(log_odds)) of the views; masks that flag a higher `rate`
+    of what is authentic lower them. A rate above one half counts as one half.
+    """
+    return float(min(log_odds, -np.log(min(0.5, max(1e-300, rate))) - np.logaddexp(0, -log_odds)))

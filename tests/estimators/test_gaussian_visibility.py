@@ -33,9 +33,10 @@ def test_pattern_errors_count_views_that_contradict_a_pattern():
     roles = assign_roles(np.array([[0.1, 0.1], [0.9, 0.9]]), np.array([[9.0, 9.0], [1.0, 1.0]]))
     assert roles is not None
     # What is flagged contradicts the authentic class, what is not the tampered class.
-    false_alarms, misses = pattern_errors(evidence, roles, 8.0)
+    (false_alarms, misses), rates = pattern_errors(evidence, roles, 8.0)
     assert false_alarms.tolist() == [[0.5, 0.0], [0.125, 0.0]]
     assert misses.tolist() == [[0.0, 0.5], [0.0, 0.375]]
+    assert rates.tolist() == [0.625, 0.0], "the first one is as near to either class"
 
 
 def test_pattern_errors_of_a_mixed_pattern_with_an_inverted_view():
@@ -49,6 +50,7 @@ def test_pattern_errors_of_a_mixed_pattern_with_an_inverted_view():
         rates=np.zeros(2),
         seen=np.ones(2),
     )
-    false_alarms, misses = pattern_errors(evidence, roles, 8.0)
+    (false_alarms, misses), rates = pattern_errors(evidence, roles, 8.0)
     assert false_alarms.tolist() == [[0.25, 0.125]]
     assert misses.tolist() == [[0.0, 0.375]]
+    assert rates.tolist() == [0.25, 0.25]

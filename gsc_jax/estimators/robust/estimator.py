@@ -169,10 +169,9 @@ class RobustEstimator(Estimator):
         if roles is None:
             nothing = np.zeros(len(seen), np.float32)
             return MaskEstimate(probability=nothing, seen=seen, region=nothing.astype(np.int8))
-        false_alarms, misses = pattern_errors(evidence, roles, self.half_weight)
-        authentic = ~roles.tampered[(false_alarms + misses).argmin(axis=1)]
-        rate = false_alarms[authentic, 0].sum(dtype=float) / max(seen_sum[authentic].sum(), 1e-30)
-        of_flag = flag_weight(self.class_log_odds, rate)
+        (false_alarms, misses), rates = pattern_errors(evidence, roles, self.half_weight)
+        # The median: a distractor is flagged in some views only, and is no noise.
+        of_flag = flag_weight(self.class_log_odds, np.median(rates))
         logits = -of_flag * false_alarms - self.class_log_odds * misses
         class_probability = smooth(
             logits, roles.tampered, means, seen, strength=self.smoothing, neighbours=self.neighbours
@@ -222,18 +221,24 @@ class MaskEstimate:
     roles: Roles | None = None
 
 
-def pattern_errors(evidence: EvidenceOfViews, roles: Roles, half_weight: float) -> np.ndarray:
+def pattern_errors(
+    evidence: EvidenceOfViews, roles: Roles, half_weight: float
+) -> tuple[np.ndarray, np.ndarray]:
     """False alarms and misses of the masks at each Gaussian, if it has the pattern of a class.
 
-    Numbers of views, weighted by visibility (one half at `half_weight` pixels), (2, N, C) float32.
+    Numbers of views, weighted by visibility (one half at `half_weight` pixels), (2, N, C) float32;
+    and the flagged share of what is authentic by its nearest pattern in each view, (V,).
     """
     patterns = roles.patterns.T.astype(np.float32)
     errors = np.empty((2, evidence.shape[1], len(roles.patterns)), np.float32)
+    sums = np.zeros((2, evidence.shape[0]))
     for block in blocks(errors.shape[1], gaussian_visibility.BLOCK):
         seen, flagged = gaussian_visibility.visibility(evidence, block, half_weight)
         flagged = np.where(roles.inverted[:, None], seen - flagged, flagged)
         errors[:, block] = flagged.T @ (1 - patterns), (seen - flagged).T @ patterns
-    return errors
+        authentic = ~roles.tampered[errors[:, block].sum(axis=0).argmin(axis=1)]
+        sums += np.stack([flagged, seen]) @ authentic.astype(np.float32)
+    return errors, sums[0] / np.maximum(sums[1], 1e-30)
 
 
 def flag_weight(log_odds: float, rate: float) -> float:

@@ -113,7 +113,7 @@ def test_weight_of_a_flag(log_odds):
     assert flag_weight(log_odds, error / 2) == pytest.approx(flag_weight(log_odds, 0.0))
     for rate in (0.1, 0.3, 0.5):
         weight = min(log_odds, np.log((1 - error) / rate))
-        assert flag_weight(log_odds, np.float32(rate)) == pytest.approx(weight, rel=1e-5, abs=1e-7)
+        assert flag_weight(log_odds, float(np.float32(rate))) == pytest.approx(weight, rel=1e-5, abs=1e-7)
     assert flag_weight(log_odds, 0.9) == flag_weight(log_odds, 0.5) > 0
 
 

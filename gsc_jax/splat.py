@@ -267,7 +267,7 @@ def render_view(
 def accumulate_maps(
     gaussians: Gaussians, camera: Cameras, maps: Array | Sequence[Array], *, near: float = NEAR
 ) -> jax.Array:
-    """Lift maps to the Gaussians: the adjoint of `render_features`; exported as `accumulate`.
+    """Lift maps to the Gaussians, the adjoint of `render_features`; it is `gsc_jax.accumulate`.
 
     Args:
         gaussians: N Gaussians.

@@ -36,7 +36,7 @@ pytestmark = [
 ]
 
 COUNT = 1_500
-SECONDS = 300
+SECONDS = 90
 
 
 @pytest.fixture(scope="module", autouse=True)

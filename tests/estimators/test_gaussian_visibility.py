@@ -32,7 +32,7 @@ def test_pattern_errors_count_views_that_contradict_a_pattern():
     assert flagged.tolist() == [[0.5, 0.125], [0.0, 0.0]]
     roles = assign_roles(np.array([[0.1, 0.1], [0.9, 0.9]]), np.array([[9.0, 9.0], [1.0, 1.0]]))
     assert roles is not None
-    # What is flagged contradicts the authentic class, what is not the tampered class.
+    # A flag contradicts the authentic class, the lack of one contradicts the tampered class.
     (false_alarms, misses), rates = pattern_errors(evidence, roles, 8.0)
     assert false_alarms.tolist() == [[0.5, 0.0], [0.125, 0.0]]
     assert misses.tolist() == [[0.0, 0.5], [0.0, 0.375]]

@@ -170,7 +170,7 @@ class RobustEstimator(Estimator):
             nothing = np.zeros(len(seen), np.float32)
             return MaskEstimate(probability=nothing, seen=seen, region=nothing.astype(np.int8))
         (false_alarms, misses), rates = pattern_errors(evidence, roles, self.half_weight)
-        # The median: a distractor is flagged in some views only, and is no noise.
+        # Not the mean, which a large authentic region that only some views flag would raise.
         of_flag = flag_weight(self.class_log_odds, np.median(rates))
         logits = -of_flag * false_alarms - self.class_log_odds * misses
         class_probability = smooth(
@@ -224,10 +224,11 @@ class MaskEstimate:
 def pattern_errors(
     evidence: EvidenceOfViews, roles: Roles, half_weight: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """False alarms and misses of the masks at each Gaussian, if it has the pattern of a class.
+    """Number of views whose masks are wrong about a Gaussian if it belongs to a class.
 
-    Numbers of views, weighted by visibility (one half at `half_weight` pixels), (2, N, C) float32;
-    and the flagged share of what is authentic by its nearest pattern in each view, (V,).
+    First the views that flag it and should not, then those that should and do not, weighted by
+    visibility (one half at `half_weight` pixels), (2, N, C) float32. Also the share that each view
+    flags of the Gaussians that are nearest to an authentic class, (V,).
     """
     patterns = roles.patterns.T.astype(np.float32)
     errors = np.empty((2, evidence.shape[1], len(roles.patterns)), np.float32)
@@ -242,9 +243,9 @@ def pattern_errors(
 
 
 def flag_weight(log_odds: float, rate: float) -> float:
-    """Log odds of a flagged view against a class that it should not flag, at most `log_odds`.
+    """Log odds against a class from one view that flags a Gaussian and, by the class, should not.
 
-    These allow for errors in 1 / (1 + exp(log_odds)) of the views; masks that flag a higher `rate`
-    of what is authentic lower them. A rate above one half counts as one half.
+    They are `log_odds` as long as masks flag at most 1 / (1 + exp(log_odds)) of what is authentic,
+    and lower for a higher share, `rate`, which counts as one half at most.
     """
     return float(min(log_odds, -np.log(min(0.5, max(1e-300, rate))) - np.logaddexp(0, -log_odds)))

@@ -22,10 +22,10 @@ def drawn(count: int = 1500, pixels: int = 8, seed: int = 0):
 def test_rates_and_shares_are_recovered_and_responsibilities_separate_the_classes():
     kinds, flagged, clear = drawn()
     fit = fit_classes(flagged, clear, counts=(3,), restarts=4)
-    order = np.argsort(-np.asarray(fit.classes.shares))
-    np.testing.assert_allclose(np.asarray(fit.classes.rates)[order], RATES, atol=0.03)
-    np.testing.assert_allclose(np.asarray(fit.classes.shares)[order], SHARES, atol=0.03)
-    responsibilities = np.asarray(fit.responsibilities)
+    order = np.argsort(-np.asarray(fit.classes.shares[0]))
+    np.testing.assert_allclose(np.asarray(fit.classes.rates[0])[order], RATES, atol=0.03)
+    np.testing.assert_allclose(np.asarray(fit.classes.shares[0])[order], SHARES, atol=0.03)
+    responsibilities = np.asarray(fit.responsibilities[0])
     np.testing.assert_allclose(responsibilities.sum(axis=0), 1, atol=1e-5)
     assert np.mean(np.argmax(responsibilities[order], axis=0) == kinds) > 0.98
 
@@ -33,8 +33,21 @@ def test_rates_and_shares_are_recovered_and_responsibilities_separate_the_classe
 def test_the_criterion_chooses_the_number_of_classes():
     _, flagged, clear = drawn()
     fit = fit_classes(flagged, clear, counts=(2, 3, 6), restarts=3)
-    assert np.sum(np.asarray(fit.classes.shares) > 0) == 3
+    assert np.sum(np.asarray(fit.classes.shares[0]) > 0) == 3
     assert np.asarray(fit.criterion).shape == np.asarray(fit.iterations).shape == (9,)
+
+
+def test_all_starts_are_returned_the_best_first():
+    _, flagged, clear = drawn()
+    fit = fit_classes(flagged, clear, counts=(2, 6), restarts=3)
+    assert fit.classes.rates.shape == (6, 6, 6)
+    assert fit.responsibilities.shape == (6, 6, 1500)
+    assert (np.diff(fit.criterion) <= 0).all()
+    used = np.sum(np.asarray(fit.classes.shares) > 0, axis=1)
+    assert sorted(used.tolist()) == [2, 2, 2, 6, 6, 6]
+    assert used[-1] == 2  # two classes cannot fit three as well as six do
+    for shares, responsibilities in zip(fit.classes.shares, fit.responsibilities, strict=True):
+        np.testing.assert_allclose(np.mean(responsibilities, axis=1), shares, atol=0.01)
 
 
 def test_the_criterion_of_one_class_is_that_of_schwarz():
@@ -55,7 +68,7 @@ def test_rates_are_bounded_and_unseen_gaussians_follow_the_shares():
     rates = np.asarray(fit.classes.rates)
     assert RATE_FLOOR <= rates.min() <= rates.max() <= 1 - RATE_FLOOR
     responsibilities = np.asarray(fit.responsibilities)
-    np.testing.assert_allclose(responsibilities[:, -1], np.asarray(fit.classes.shares), atol=1e-6)
+    np.testing.assert_allclose(responsibilities[..., -1], fit.classes.shares, atol=1e-6)
 
 
 def test_the_fit_is_deterministic_for_a_seed():
@@ -76,10 +89,10 @@ def test_no_candidates_and_no_gaussians_are_errors(wrong):
         fit_classes(flagged[:, :0], clear[:, :0], counts=(2,))
 
 
-def test_two_starts_with_the_seed_0_are_the_default():
+def test_four_starts_with_the_seed_0_are_the_default():
     _, flagged, clear = drawn()
     default = fit_classes(flagged, clear, counts=(3,))
-    explicit = fit_classes(flagged, clear, counts=(3,), restarts=2, seed=0)
+    explicit = fit_classes(flagged, clear, counts=(3,), restarts=4, seed=0)
     assert np.array_equal(default.criterion, explicit.criterion)
 
 

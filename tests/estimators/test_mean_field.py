@@ -2,62 +2,76 @@
 
 import numpy as np
 import pytest
-from scipy.special import softmax
 
 from gsc_jax.estimators.robust.mean_field import smooth
 
 LINE = np.stack([np.arange(20.0), np.zeros(20), np.zeros(20)], axis=1)
 ALL = np.ones(20, bool)
-TAMPERED = np.array([False, True])
 
 
-def logits(logit: float, odd: int = 10) -> np.ndarray:
-    """Logits of twenty Gaussians of class 0, one of which tends to class 1."""
-    values = np.zeros((20, 2))
-    values[:, 0] = 2.0
-    values[odd] = [0, logit]
+def log_odds(odd: float) -> np.ndarray:
+    """Log odds of twenty Gaussians that are authentic rather than not, but for the odd one."""
+    values = np.full(20, -2.0)
+    values[10] = odd
     return values
 
 
 def test_neighbours_change_uncertain_gaussians_only():
-    uncertain = smooth(logits(1.0), TAMPERED, LINE, ALL, strength=5, neighbours=4)
-    assert uncertain[10, 0] > 0.9
-    certain = smooth(logits(9.0), TAMPERED, LINE, ALL, strength=5, neighbours=4)
-    assert certain[10, 1] > 0.9
+    assert smooth(log_odds(1.0), LINE, ALL, strength=5, neighbours=4)[10] < -2
+    assert smooth(log_odds(9.0), LINE, ALL, strength=5, neighbours=4)[10] > 2
 
 
-@pytest.mark.parametrize(("logit", "changes"), [(7.9, True), (8.1, False)])
-def test_gaussians_beyond_the_reach_of_their_neighbours_are_not_updated(logit, changes):
-    values = logits(logit)
-    smoothed = smooth(values, TAMPERED, LINE, ALL, strength=5, neighbours=4)
-    assert np.array_equal(smoothed[10], softmax(values[10])) != changes
+@pytest.mark.parametrize("sign", [-1, 1])
+@pytest.mark.parametrize(("odds", "changes"), [(7.9, True), (8.1, False)])
+def test_gaussians_beyond_the_reach_of_their_neighbours_are_not_updated(odds, changes, sign):
+    values = sign * log_odds(odds)
+    smoothed = smooth(values, LINE, ALL, strength=5, neighbours=4)
+    assert (smoothed[10] == np.float32(values[10])) != changes
 
 
 def test_strength_0_is_the_identity():
-    unchanged = smooth(logits(1.0), TAMPERED, LINE, ALL, strength=0, neighbours=4)
-    assert np.array_equal(unchanged, softmax(logits(1.0), axis=1))
+    unchanged = smooth(log_odds(1.0), LINE, ALL, strength=0, neighbours=4)
+    assert np.array_equal(unchanged, log_odds(1.0))
 
 
-def test_unseen_gaussians_send_no_message():
+def test_unseen_gaussians_get_and_send_no_message():
     seen = ALL.copy()
     seen[[8, 9, 11, 12]] = False
-    values = logits(1.0)
-    values[[8, 9, 11, 12]] = [0, 50]
-    assert smooth(values, TAMPERED, LINE, seen, strength=5, neighbours=4)[10, 0] > 0.9
+    values = log_odds(1.0)
+    values[[8, 9, 11, 12]] = 3.5
+    smoothed = smooth(values, LINE, seen, strength=5, neighbours=4)
+    assert smoothed[10] < -2
+    assert (smoothed[[8, 9, 11, 12]] == 3.5).all()
 
 
-def test_the_neighbours_together_contribute_the_strength():
-    values = np.tile([50.0, 0.0], (20, 1))
-    values[10] = [0, 4]
-    smoothed = smooth(values, TAMPERED, LINE, ALL, strength=5, neighbours=4)
-    np.testing.assert_allclose(smoothed[10], softmax([5, 4]), rtol=1e-6)
+@pytest.mark.parametrize("others", [-50.0, 50.0])
+def test_the_neighbours_together_contribute_the_strength(others):
+    values = np.full(20, others)
+    values[10] = 4
+    smoothed = smooth(values, LINE, ALL, strength=5, neighbours=4)
+    np.testing.assert_allclose(smoothed[10], 4 + np.sign(others) * 5, rtol=1e-6)
 
 
-@pytest.mark.parametrize("tampered", [[False, False], [True, True]])
-def test_without_two_kinds_of_classes_or_enough_neighbours_nothing_changes(tampered):
-    values = logits(1.0)
-    expected = softmax(values, axis=1)
-    of_one_kind = smooth(values, np.array(tampered), LINE, ALL, strength=5, neighbours=4)
-    assert np.array_equal(of_one_kind, expected)
-    alone = smooth(values, TAMPERED, LINE, ALL, strength=5, neighbours=20)
-    assert np.array_equal(alone, expected)
+def test_neighbours_of_both_kinds_cancel_out():
+    values = np.full(20, 50.0)
+    values[:10] = -50
+    values[10] = 1
+    np.testing.assert_allclose(smooth(values, LINE, ALL, strength=5, neighbours=4)[10], 1)
+
+
+def test_an_uncertain_neighbour_counts_by_how_certain_it_is():
+    values = np.full(4, 100.0)
+    values[[1, 2]] = 0.5, 0.25
+    means = np.array([[0.0, 0, 0], [10, 0, 0], [11, 0, 0], [100, 0, 0]])
+    smoothed = smooth(values, means, np.ones(4, bool), strength=1.5, neighbours=1)
+    expected = np.array([0.5, 0.25])
+    for _ in range(5):
+        expected = np.array([0.5, 0.25]) + 1.5 * np.tanh(expected[::-1] / 2)
+    np.testing.assert_allclose(smoothed[[1, 2]], expected, rtol=1e-5)
+
+
+def test_with_too_few_gaussians_nothing_changes_and_the_input_never_does():
+    values = log_odds(1.0)
+    assert np.array_equal(smooth(values, LINE, ALL, strength=5, neighbours=20), values)
+    smooth(values, LINE, ALL, strength=5, neighbours=4)
+    assert np.array_equal(values, log_odds(1.0))

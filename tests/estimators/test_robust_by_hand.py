@@ -11,8 +11,9 @@ import pytest
 from failing_masks import ESTIMATOR
 from scipy.special import logit
 
-from gsc_jax.estimators.robust.estimator import flag_weight
-from gsc_jax.evidence.lifting import Evidence
+from gsc_jax.estimators.robust.class_roles import Roles
+from gsc_jax.estimators.robust.estimator import RobustEstimator, flag_weight
+from gsc_jax.evidence.lifting import Evidence, EvidenceOfViews
 
 VIEWS = 12
 FLAGGED = np.zeros((4, VIEWS), bool)
@@ -25,7 +26,37 @@ DECOYS_OF_A_VIEW = 30
 median over the views."""
 AUTHENTIC, EDIT = (np.flatnonzero(kind == KINDS) for kind in (0, 1))
 FOUR_CLASSES = dataclasses.replace(ESTIMATOR, classes=(4,), restarts=32)
-"""Finds these four classes; with more, a single odd Gaussian would be a class of its own."""
+"""EM finds these four classes; with more, a single odd Gaussian would be a class of its own."""
+
+ALL_GROUPS = ((0, 1, 2, 3),)
+"""One fit, whose classes are the groups."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class WithRoles(RobustEstimator):
+    """`robust` with the fits given.
+
+    `fits` are the groups that are the classes of each, what is authentic first, then the edit;
+    `turned` is the number of views that are inverted, which are the first ones.
+    """
+
+    fits: tuple[tuple[int, ...], ...] = ALL_GROUPS
+    turned: int = 0
+
+    def _roles(self, evidence: EvidenceOfViews, sample: object, represents: object) -> list[Roles]:
+        del evidence, sample, represents
+        return [
+            Roles(
+                inverted=np.arange(VIEWS) < self.turned,
+                patterns=FLAGGED[list(groups)],
+                tampered=np.arange(len(groups)) == 1,
+                rates=FLAGGED[list(groups)].mean(axis=1),
+                seen=np.full(len(groups), float(VIEWS)),
+            )
+            for groups in self.fits
+        ]
+
+
 ODD = np.array([200.0, 0, 0])
 """Position of the odd Gaussian, far from all others."""
 
@@ -37,6 +68,7 @@ def log_odds_of_one(
     near: np.ndarray = KINDS[:0],
     false_alarms: float = 0.0,
     inverted: int = 0,
+    fits: tuple[tuple[int, ...], ...] = ALL_GROUPS,
 ) -> float:
     """Log odds that one Gaussian is edited, whose weight is in the masks to these shares by view.
 
@@ -50,12 +82,10 @@ def log_odds_of_one(
     means = np.random.default_rng(0).normal(size=(len(shares), 3))
     means[-1] = ODD
     means[near] = ODD + np.outer(np.arange(1, len(near) + 1), [0, 1, 0])
-    estimator = dataclasses.replace(FOUR_CLASSES, smoothing=smoothing)
+    estimator = WithRoles(smoothing=smoothing, fits=fits, turned=inverted)
     found = estimator.from_masks(
         Evidence(total=total, tampered=(total * shares.T).astype(np.float32)), means
     )
-    assert found.roles is not None
-    assert found.roles.tampered.tolist() == [False, True, False, False]
     return float(logit(found.probability[-1].astype(np.float64)))
 
 
@@ -82,6 +112,27 @@ def test_eight_neighbours_share_the_log_odds_of_smoothing(of_the_edit):
     message = 5 * (of_the_edit - (8 - of_the_edit)) / 8
     found = log_odds_of_one(share, smoothing=5, near=near)
     assert found == pytest.approx(1.5 + message, abs=0.01)
+
+
+def test_em_finds_the_given_roles():
+    total = np.full((VIEWS, len(KINDS)), 1e6, np.float32)
+    evidence = Evidence(total=total, tampered=total * FLAGGED[KINDS].T)
+    everything = np.arange(len(KINDS)), np.ones(len(KINDS), np.float32)
+    best, given = (each._roles(evidence, *everything)[0] for each in (FOUR_CLASSES, WithRoles()))
+    assert best.tampered.tolist() == given.tampered.tolist()
+    assert sorted(best.patterns.tolist()) == sorted(given.patterns.tolist())
+    np.testing.assert_allclose(best.rate, given.rate, atol=0.01)
+
+
+@pytest.mark.parametrize(("with_distractor", "log_odds"), [(0, 12), (1, 12), (2, 1.5), (3, -9)])
+def test_the_median_of_several_fits_counts(with_distractor, log_odds):
+    """Some of four fits have a distractor, which differs less from a Gaussian than the edit.
+
+    It differs in 1 view from it, in 4 from the edit, in 8 from what is authentic.
+    """
+    share = [1.0] * 8 + [0.0] * 4
+    fits = ((0, 1),) * (4 - with_distractor) + ((0, 1, 2),) * with_distractor
+    assert log_odds_of_one(share, fits=fits) == pytest.approx(log_odds, abs=0.01)
 
 
 @pytest.mark.parametrize("inverted", [0, 4])

@@ -25,9 +25,10 @@ RATE_DIFFERENCE = 0.6
 """A view separates two classes if their rates differ by more."""
 SAME_PATTERN_VIEWS = 1.5
 """Classes that fewer views separate count as one object."""
-SEPARATED_SHARE = 0.15
-"""Two classes are also one object if less than this share of what both show is in views that
-separate them: views in which a part of an edit is covered flag that part by chance."""
+COVERED_SHARE, EDGE_SHARE, EDGE_FREQUENCY = 0.15, 0.25, 0.65
+"""A class is part of the edit if less than the first share of what both show is in views that
+separate them: views in which a part of an edit is covered flag that part by chance. So is one below
+the second share that is flagged more than 0.65 times as often, such as an edge that masks miss."""
 NEGLIGIBLE_WEIGHT = 1e-4
 """Share of all weight below which a class is ignored."""
 NEAR_BEST = 0.9
@@ -98,7 +99,7 @@ def assign_roles(
     shown_share = weights / np.maximum(weights.max(axis=1, keepdims=True), 1e-30)
     seen = np.minimum(1.0, shown_share / FULL_VIEW)
     heaviest = _RateTable(rates=rates, seen=seen).heaviest(mass)
-    authentic = _largest(mass, heaviest)
+    authentic = np.argmax(np.where(heaviest, mass, -1.0))
     shown, flagged = (x[heaviest].sum(axis=0) for x in (weights, weights * rates))
     inverted = inversion & (flagged > 0.5 * shown) & (shown >= FULL_VIEW * shown.max())
     table = _RateTable(rates=np.where(inverted, 1 - rates, rates), seen=seen)
@@ -107,12 +108,15 @@ def assign_roles(
     if not others.any():
         return None
     frequency = np.where(others, table.flag_frequency(), -1.0)
-    first = _largest(mass * table.sharpness, frequency >= NEAR_BEST * frequency.max())
+    near_best = frequency >= NEAR_BEST * frequency.max()
+    first = np.argmax(np.where(near_best, mass * table.sharpness, -1.0))
     distinct = others & distractors & (table.sharpness >= MIN_SHARPNESS)
     distinct &= table.separating_views(first) >= SAME_PATTERN_VIEWS
     distinct &= table.separating_views(authentic) >= 0.5
     both_shown = np.minimum(shown_share, shown_share[first])
-    distinct &= (both_shown * table.differs(first)).sum(1) >= SEPARATED_SHARE * both_shown.sum(1)
+    edge = table.flag_frequency() > EDGE_FREQUENCY * table.flag_frequency()[first]
+    least = np.where(edge, EDGE_SHARE, COVERED_SHARE) * both_shown.sum(axis=1)
+    distinct &= (both_shown * table.differs(first)).sum(axis=1) >= least
     often = table.flag_frequency() > SECOND_EDIT * table.flag_frequency()[first]
     second, distractor = np.flatnonzero(distinct & often), np.flatnonzero(distinct & ~often)
     patterns = [
@@ -128,10 +132,6 @@ def assign_roles(
         rates=table.flag_frequency(1e-30)[order],
         seen=seen.sum(axis=1)[order],
     )
-
-
-def _largest(values: np.ndarray, among: np.ndarray) -> int:
-    return int(np.argmax(np.where(among, values, -1.0)))
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -5,14 +5,15 @@ the reliability of each mask from the same evidence:
 
 1. latent classes: Gaussians with the same pattern of flagged views (`latent_classes`);
 2. roles: authentic, tampered or distractor classes, and views that are inverted (`class_roles`);
-3. the probability of each Gaussian, by how well its evidence agrees with each pattern, smoothed
-   over its neighbours (`mean_field`);
+3. the probability of each Gaussian, by how well its evidence agrees with each pattern, in the
+   median of several fits, smoothed over its neighbours (`mean_field`);
 4. fusion with a prior that does not come from masks (`prior_fusion`).
 """
 
 import dataclasses
 
 import numpy as np
+from scipy.special import expit
 
 from gsc_jax.estimators.protocol import NONE_FLAGGED, Estimator, Finding, Prior, unanimous
 from gsc_jax.estimators.robust import diagnostics, gaussian_visibility, prior_fusion
@@ -47,14 +48,14 @@ class RobustEstimator(Estimator):
     Attributes:
         name: Name of the method in results.
         classes: Candidate numbers of latent classes.
-        restarts: EM starts for each candidate.
+        restarts: EM starts for each candidate; the better half of all starts is used.
         sample: Number of Gaussians to which the classes are fitted.
         half_weight: Weight in pixels at which a view counts one half.
         effective_pixels: Number of independent pixels that a full view counts in EM.
         inversion: Whether masks may be inverted, if there is more than one.
         distractors: Whether authentic regions may be flagged consistently in some views.
         class_log_odds: Log odds between two classes from one full view that separates them.
-        smoothing: Log odds from neighbours that all belong to one class; 0 disables smoothing.
+        smoothing: Log odds from neighbours that are all tampered; 0 disables smoothing.
         neighbours: Number of neighbours for smoothing.
         prior_weight: Weight of the prior, in [0, 1]; 0 ignores it, and below 0.5 it does not
             decide between regions that masks label.
@@ -72,14 +73,14 @@ class RobustEstimator(Estimator):
 
     name: str = "robust"
     classes: tuple[int, ...] = (4, 8)
-    restarts: int = 2
+    restarts: int = 4
     sample: int = 8192
     half_weight: float = 8.0
     effective_pixels: float = 8.0
     inversion: bool = True
     distractors: bool = True
     class_log_odds: float = 3.0
-    smoothing: float = 5.0
+    smoothing: float = 3.0
     neighbours: int = 8
     prior_weight: float = 1.0
     min_verdict: float = 0.06
@@ -162,31 +163,26 @@ class RobustEstimator(Estimator):
         `flagged`, all probabilities are 0. They are deterministic, and finite for any evidence.
         """
         seen_sum, flagged_sum = gaussian_visibility.summed_visibility(evidence, self.half_weight)
-        seen, roles = seen_sum > 0, None
+        seen, roles = seen_sum > 0, []
         if flagged and seen.any():
             sample = gaussian_visibility.stratified_sample(seen_sum, flagged_sum, self.sample)
             roles = self._roles(evidence, *sample)
-        if roles is None:
+        if not roles:
             nothing = np.zeros(len(seen), np.float32)
             return MaskEstimate(probability=nothing, seen=seen, region=nothing.astype(np.int8))
-        (false_alarms, misses), rates = pattern_errors(evidence, roles, self.half_weight)
-        # Not the mean, which a large authentic region that only some views flag would raise.
-        of_flag = flag_weight(self.class_log_odds, np.median(rates))
-        logits = -of_flag * false_alarms - self.class_log_odds * misses
-        class_probability = smooth(
-            logits, roles.tampered, means, seen, strength=self.smoothing, neighbours=self.neighbours
-        )
-        # The best class of each kind: probabilities of similar distractors must not add up.
-        kinds = roles.tampered, ~roles.tampered
-        tampered, other = (class_probability[:, kind].max(axis=1) for kind in kinds)
-        probability = np.where(seen, tampered / (tampered + other), 0.0).astype(np.float32)
-        region = class_probability.argmax(axis=1).astype(np.int8)
-        return MaskEstimate(probability=probability, seen=seen, roles=roles, region=region)
+        # Fits of nearly the same criterion differ: the median does not depend on rounding.
+        log_odds, nearest = zip(*(self._log_odds(evidence, fit) for fit in roles), strict=True)
+        smoothing = {"strength": self.smoothing, "neighbours": self.neighbours}
+        smoothed = smooth(np.median(log_odds, axis=0), means, seen, **smoothing)
+        probability = np.where(seen, expit(smoothed), 0.0).astype(np.float32)
+        middle = np.argsort([fit.scene_probability for fit in roles])[len(roles) // 2]
+        region = np.where(probability > 0.5, *nearest[middle])
+        return MaskEstimate(probability=probability, seen=seen, roles=roles[middle], region=region)
 
     def _roles(
         self, evidence: EvidenceOfViews, sample: np.ndarray, represents: np.ndarray
-    ) -> Roles | None:
-        """Fit latent classes to sampled Gaussians (S,) and assign their roles."""
+    ) -> list[Roles]:
+        """Fit latent classes to sampled Gaussians (S,); roles of the better half with an edit."""
         seen, flagged = gaussian_visibility.visibility(evidence, sample, self.half_weight)
         fit = fit_classes(
             self.effective_pixels * flagged,
@@ -195,13 +191,29 @@ class RobustEstimator(Estimator):
             restarts=self.restarts,
             seed=self.seed,
         )
-        used = np.asarray(fit.classes.shares) > 0
-        return assign_roles(
-            np.asarray(fit.classes.rates)[used],
-            (np.asarray(fit.responsibilities)[used] * represents) @ seen.T,
-            inversion=self.inversion and len(seen) > 1,  # one alone differs from no other
-            distractors=self.distractors,
-        )
+        better = (len(fit.criterion) + 1) // 2
+        fitted = map(np.asarray, (fit.classes.rates, fit.classes.shares, fit.responsibilities))
+        roles = [
+            assign_roles(
+                rates[shares > 0],
+                (members[shares > 0] * represents) @ seen.T,
+                inversion=self.inversion and len(seen) > 1,  # one alone differs from no other
+                distractors=self.distractors,
+            )
+            for rates, shares, members in zip(*(x[:better] for x in fitted), strict=True)
+        ]
+        return [of_fit for of_fit in roles if of_fit is not None]
+
+    def _log_odds(self, evidence: EvidenceOfViews, roles: Roles) -> tuple[np.ndarray, np.ndarray]:
+        """Log odds of tampering by one fit, (N,); the nearest tampered and other class, (2, N)."""
+        (false_alarms, misses), rates = pattern_errors(evidence, roles, self.half_weight)
+        # Not the mean, which a large authentic region that only some views flag would raise.
+        of_flag = flag_weight(self.class_log_odds, np.median(rates))
+        logits = -of_flag * false_alarms - self.class_log_odds * misses
+        # The best class of each kind: probabilities of similar distractors must not add up.
+        kinds = [np.where(kind, logits, -np.inf) for kind in (roles.tampered, ~roles.tampered)]
+        tampered, other = (of_kind.max(axis=1) for of_kind in kinds)
+        return tampered - other, np.stack([k.argmax(axis=1) for k in kinds]).astype(np.int8)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -211,8 +223,9 @@ class MaskEstimate:
     Attributes:
         probability: Probability of tampering, given an edit, shape (N,) float32; 0 if unseen.
         seen: Mask of the Gaussians visible in at least one view, shape (N,) bool.
-        region: Most probable class, in the order of the roles, shape (N,) int8; 0 without roles.
-        roles: Roles of the latent classes; None if there is only one class.
+        region: Nearest class, a tampered one if the probability is above one half, in the order of
+            the roles, shape (N,) int8; 0 without roles.
+        roles: Roles in the fit of the median scene probability; None if there is only one class.
     """
 
     probability: np.ndarray

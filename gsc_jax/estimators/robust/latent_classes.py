@@ -4,7 +4,7 @@ Two classes, tampered and authentic, cannot explain an authentic region that a d
 many views; several classes can. Class k is flagged in view j with probability q_kj, whatever the
 mask of that view did: find the edit, miss it, be inverted, or flag something else. EM fits the
 rates (Dempster, Laird and Rubin 1977; latent classes: Goodman 1974; unreliable raters: Dawid and
-Skene 1979) from several starts at once; the BIC (Schwarz 1978) chooses the number of classes.
+Skene 1979) from several starts at once; the BIC (Schwarz 1978) compares them.
 """
 
 import dataclasses
@@ -39,9 +39,9 @@ class Classes:
 
 @pytree
 class Fit:
-    """Latent classes of the best start, and how probable each is for a Gaussian, (K, S).
+    """Latent classes of R starts, best first, and how probable each is for a Gaussian, (R, K, S).
 
-    The Bayesian information criterion (higher is better) and the EM iterations of R starts, (R,).
+    The Bayesian information criterion (higher is better) and the EM iterations of each start, (R,).
     """
 
     classes: Classes
@@ -51,9 +51,9 @@ class Fit:
 
 
 def fit_classes(
-    flagged: Array, clear: Array, *, counts: Sequence[int], restarts: int = 2, seed: int = 0
+    flagged: Array, clear: Array, *, counts: Sequence[int], restarts: int = 4, seed: int = 0
 ) -> Fit:
-    """Fit latent classes to how often Gaussians are flagged in each view.
+    """Fit latent classes to how often Gaussians are flagged in each view; all starts, best first.
 
     `flagged` and `clear` (V, S) are effective numbers of pixels per view and Gaussian. The numbers
     of classes in `counts` are candidates, each with `restarts` starts drawn by the seed. No
@@ -69,26 +69,18 @@ def fit_classes(
     used = np.repeat(counts, restarts)[:, None] > np.arange(max(counts), dtype=np.int32)
     keys = jax.random.split(jax.random.key(seed), len(used))
     fit = _fit_all(flagged, clear, jnp.asarray(used, jnp.float32), keys)
-    classes = dataclasses.replace(fit.classes, rates=fit.classes.rates[:, :views])
+    classes = dataclasses.replace(fit.classes, rates=fit.classes.rates[:, :, :views])
     return dataclasses.replace(fit, classes=classes)
 
 
 @jax.jit
 def _fit_all(flagged: Array, clear: Array, used: Array, keys: Array) -> Fit:
-    fit_one = functools.partial(_fit_one, flagged, clear)
-    fitted, criterion, iterations = jax.vmap(fit_one)(used, keys)
-    best = jnp.argmax(criterion)
-    classes = jax.tree.map(lambda leaf: leaf[best], fitted)
-    return Fit(
-        classes=classes,
-        responsibilities=jax.nn.softmax(_log_joint(classes, flagged, clear), axis=0),
-        criterion=criterion,
-        iterations=iterations,
-    )
+    fits = jax.vmap(functools.partial(_fit_one, flagged, clear))(used, keys)
+    return jax.tree.map(lambda leaf: leaf[jnp.argsort(-fits.criterion)], fits)
 
 
-def _fit_one(flagged: Array, clear: Array, used: Array, key: Array) -> tuple[Classes, Array, Array]:
-    """Run EM from one start until convergence: classes, criterion, iterations."""
+def _fit_one(flagged: Array, clear: Array, used: Array, key: Array) -> Fit:
+    """Run EM from one start until convergence."""
     size = flagged.shape[1]
 
     def improves(state: tuple[Classes, Array, Array, Array]) -> Array:
@@ -107,7 +99,12 @@ def _fit_one(flagged: Array, clear: Array, used: Array, key: Array) -> tuple[Cla
     classes, likelihood, _, iterations = jax.lax.while_loop(improves, step, first)
     views = jnp.sum(jnp.any(flagged + clear > 0, axis=1), dtype=jnp.float32)
     parameters = jnp.sum(used) * (views + 1)
-    return classes, size * likelihood - 0.5 * parameters * jnp.log(jnp.float32(size)), iterations
+    return Fit(
+        classes=classes,
+        responsibilities=jax.nn.softmax(_log_joint(classes, flagged, clear), axis=0),
+        criterion=size * likelihood - 0.5 * parameters * jnp.log(jnp.float32(size)),
+        iterations=iterations,
+    )
 
 
 def _log_joint(classes: Classes, flagged: Array, clear: Array) -> Array:

@@ -230,7 +230,7 @@ class Locate(SceneOptions):
       all_views = true
       [config]                 # fields of RobustEstimator, or of
       classes = [4, 8, 12]     # GSChecker for official and paper
-      smoothing = 3.0
+      smoothing = 5.0
 
     written to the folder of --out:
       report.html              start here

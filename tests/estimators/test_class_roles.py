@@ -206,6 +206,16 @@ def test_a_class_flagged_nearly_as_often_needs_a_quarter_to_be_another_object():
         assert len(found.tampered) == count
 
 
+@pytest.mark.parametrize(("flagged", "count"), [(63, 3), (67, 2)])
+def test_the_frequency_that_takes_a_quarter_is_relative_to_that_of_the_edit(flagged, count):
+    """All of 100 views flag the edit, some a class; a fifth of what both show separates them."""
+    rates = [HIGH] * flagged + [LOW] * (100 - flagged)
+    share = 0.2 / 0.8 * flagged / (100 - flagged)
+    weights = [1.0] * flagged + [share] * (100 - flagged)
+    found = roles([LOW] * 100, [HIGH] * 100, rates, weights=[[1] * 100, [1] * 100, weights])
+    assert len(found.tampered) == count
+
+
 def test_the_scene_probability_is_logistic_with_two_pseudo_views():
     assert scene_probability(1.0, 1e9) == pytest.approx(expit(12 * 0.45))
     assert scene_probability(1.0, 2.0) == pytest.approx(expit(12 * 0.45 / 2))

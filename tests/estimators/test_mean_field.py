@@ -52,11 +52,13 @@ def test_the_neighbours_together_contribute_the_strength(others):
     np.testing.assert_allclose(smoothed[10], 4 + np.sign(others) * 5, rtol=1e-6)
 
 
-def test_neighbours_of_both_kinds_cancel_out():
-    values = np.full(20, 50.0)
-    values[:10] = -50
+@pytest.mark.parametrize(("tampered", "message"), [(1, -2.5), (2, 0.0), (3, 2.5)])
+def test_neighbours_of_both_kinds_are_weighed(tampered, message):
+    values = np.full(20, -50.0)
+    values[[8, 9, 11][:tampered]] = 50
     values[10] = 1
-    np.testing.assert_allclose(smooth(values, LINE, ALL, strength=5, neighbours=4)[10], 1)
+    smoothed = smooth(values, LINE, ALL, strength=5, neighbours=4)
+    np.testing.assert_allclose(smoothed[10], 1 + message, rtol=1e-6)
 
 
 def test_an_uncertain_neighbour_counts_by_how_certain_it_is():

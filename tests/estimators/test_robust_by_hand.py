@@ -5,13 +5,16 @@ counts `class_log_odds`, 3, against it; less for a flag where masks have many fa
 """
 
 import dataclasses
+import itertools
+from typing import Any
 
 import numpy as np
 import pytest
 from failing_masks import ESTIMATOR
 from scipy.special import logit
 
-from gsc_jax.estimators.robust.class_roles import Roles
+from gsc_jax.estimators.robust import estimator
+from gsc_jax.estimators.robust.class_roles import Roles, assign_roles
 from gsc_jax.estimators.robust.estimator import RobustEstimator, flag_weight
 from gsc_jax.evidence.lifting import Evidence, EvidenceOfViews
 
@@ -28,6 +31,8 @@ AUTHENTIC, EDIT = (np.flatnonzero(kind == KINDS) for kind in (0, 1))
 FOUR_CLASSES = dataclasses.replace(ESTIMATOR, classes=(4,), restarts=32)
 """EM finds these four classes; with more, a single odd Gaussian would be a class of its own."""
 
+ODD = np.array([200.0, 0, 0])
+"""Position of the odd Gaussian, far from all others."""
 ALL_GROUPS = ((0, 1, 2, 3),)
 """One fit, whose classes are the groups."""
 
@@ -43,7 +48,9 @@ class WithRoles(RobustEstimator):
     fits: tuple[tuple[int, ...], ...] = ALL_GROUPS
     turned: int = 0
 
-    def _roles(self, evidence: EvidenceOfViews, sample: object, represents: object) -> list[Roles]:
+    def _roles_by_fit(
+        self, evidence: EvidenceOfViews, sample: object, represents: object
+    ) -> list[Roles]:
         del evidence, sample, represents
         return [
             Roles(
@@ -55,10 +62,6 @@ class WithRoles(RobustEstimator):
             )
             for groups in self.fits
         ]
-
-
-ODD = np.array([200.0, 0, 0])
-"""Position of the odd Gaussian, far from all others."""
 
 
 def log_odds_of_one(
@@ -82,8 +85,7 @@ def log_odds_of_one(
     means = np.random.default_rng(0).normal(size=(len(shares), 3))
     means[-1] = ODD
     means[near] = ODD + np.outer(np.arange(1, len(near) + 1), [0, 1, 0])
-    estimator = WithRoles(smoothing=smoothing, fits=fits, turned=inverted)
-    found = estimator.from_masks(
+    found = WithRoles(smoothing=smoothing, fits=fits, turned=inverted).from_masks(
         Evidence(total=total, tampered=(total * shares.T).astype(np.float32)), means
     )
     return float(logit(found.probability[-1].astype(np.float64)))
@@ -114,14 +116,55 @@ def test_eight_neighbours_share_the_log_odds_of_smoothing(of_the_edit):
     assert found == pytest.approx(1.5 + message, abs=0.01)
 
 
+GROUPS = Evidence(
+    total=np.full((VIEWS, len(KINDS)), 1e6, np.float32),
+    tampered=(1e6 * FLAGGED[KINDS].T).astype(np.float32),
+)
+"""Masks that flag the groups without an error."""
+EVERYTHING = np.arange(len(KINDS)), np.ones(len(KINDS), np.float32)
+
+
 def test_em_finds_the_given_roles():
-    total = np.full((VIEWS, len(KINDS)), 1e6, np.float32)
-    evidence = Evidence(total=total, tampered=total * FLAGGED[KINDS].T)
-    everything = np.arange(len(KINDS)), np.ones(len(KINDS), np.float32)
-    best, given = (each._roles(evidence, *everything)[0] for each in (FOUR_CLASSES, WithRoles()))
+    best, given = (
+        each._roles_by_fit(GROUPS, *EVERYTHING)[0] for each in (FOUR_CLASSES, WithRoles())
+    )
     assert best.tampered.tolist() == given.tampered.tolist()
     assert sorted(best.patterns.tolist()) == sorted(given.patterns.tolist())
     np.testing.assert_allclose(best.rate, given.rate, atol=0.01)
+
+
+@pytest.mark.parametrize(("restarts", "fits"), [(1, 1), (2, 3), (3, 3), (4, 5), (5, 5), (8, 9)])
+def test_the_better_half_of_the_fits_decides_and_is_odd(restarts, fits):
+    """With 4 and with 8 classes, twice as many fits as restarts."""
+    assert (
+        len(dataclasses.replace(ESTIMATOR, restarts=restarts)._roles_by_fit(GROUPS, *EVERYTHING))
+        == fits
+    )
+
+
+@pytest.mark.parametrize(("left_out", "fits"), [(0, 5), (3, 3), (6, 1), (8, 0)])
+def test_fits_of_one_class_are_left_out(left_out, fits, monkeypatch):
+    calls = itertools.count()
+
+    def roles_of_some(*args: Any, **options: Any) -> Roles | None:
+        return None if next(calls) < left_out else assign_roles(*args, **options)
+
+    monkeypatch.setattr(estimator, "assign_roles", roles_of_some)
+    assert len(ESTIMATOR._roles_by_fit(GROUPS, *EVERYTHING)) == fits
+
+
+@pytest.mark.parametrize("edit", [1, 2])
+def test_what_most_fits_say_is_labelled_and_a_fit_that_agrees_is_reported(edit):
+    """Three of five fits take one region for the edit, two another one; distractors are none."""
+    fits = ((0, 3 - edit), (0, edit, 3), (0, 3 - edit), (0, edit, 3), (0, edit, 3))
+    found = WithRoles(fits=fits, smoothing=0.0).from_masks(GROUPS, np.zeros((len(KINDS), 3)))
+    assert found.roles is not None
+    assert found.roles.patterns.tolist() == FLAGGED[[0, edit, 3]].tolist()
+    labelled = found.probability > 0.5
+    assert labelled[edit == KINDS].all()
+    assert not labelled[KINDS == 0].any()
+    np.testing.assert_array_equal(found.roles.tampered[found.region], labelled)
+    np.testing.assert_array_equal(found.region[KINDS == 0], 0)
 
 
 @pytest.mark.parametrize(("with_distractor", "log_odds"), [(0, 12), (1, 12), (2, 1.5), (3, -9)])
@@ -171,10 +214,8 @@ def test_weight_of_a_flag(log_odds):
 
 @pytest.mark.parametrize("log_odds", [0.5, 3, 1e3, 1e9])
 def test_any_log_odds_label_an_edit_that_all_masks_show(log_odds):
-    total = np.full((VIEWS, len(KINDS)), 1e6, np.float32)
-    evidence = Evidence(total=total, tampered=total * FLAGGED[KINDS].T)
-    estimator = dataclasses.replace(FOUR_CLASSES, class_log_odds=log_odds)
-    found = estimator.from_masks(evidence, np.random.default_rng(0).normal(size=(len(KINDS), 3)))
+    robust = dataclasses.replace(FOUR_CLASSES, class_log_odds=log_odds)
+    found = robust.from_masks(GROUPS, np.random.default_rng(0).normal(size=(len(KINDS), 3)))
     np.testing.assert_array_equal(found.probability > 0.5, KINDS == 1)
 
 

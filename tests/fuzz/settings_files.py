@@ -26,7 +26,7 @@ def _spec_tree() -> Any:
 def _config_trees() -> list[Any]:
     """Of the kind that people write, and as in the result.json of every method."""
     own = {"command": {"scene": "a.ply", "views": 3, "scale": 0.5, "masks": "m", "near": 0.1}}
-    trees: list[Any] = [own | {"config": {"classes": [4, 8], "smoothing": 3.0}}]
+    trees: list[Any] = [own | {"config": {"classes": [4, 8], "smoothing": 5.0}}]
     for method, estimator in METHODS.items():
         config = json.loads(json.dumps(dataclasses.asdict(estimator)))  # pyright: ignore[reportArgumentType]
         command = {"method": method, "detector": ["native"], "seed": config["seed"]}

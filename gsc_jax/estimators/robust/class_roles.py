@@ -26,9 +26,9 @@ RATE_DIFFERENCE = 0.6
 SAME_PATTERN_VIEWS = 1.5
 """Classes that fewer views separate count as one object."""
 COVERED_SHARE, EDGE_SHARE, EDGE_FREQUENCY = 0.15, 0.25, 0.65
-"""A class is part of the edit if less than the first share of what both show is in views that
-separate them: views in which a part of an edit is covered flag that part by chance. So is one below
-the second share that is flagged more than 0.65 times as often, such as an edge that masks miss."""
+"""A class is no object of its own if less than the first share of what it and the edit show is in
+views that separate them, where a covered part of an edit is flagged by chance. The second is for
+classes flagged more than 0.65 times as often as the edit, such as edges that ragged masks miss."""
 NEGLIGIBLE_WEIGHT = 1e-4
 """Share of all weight below which a class is ignored."""
 NEAR_BEST = 0.9
@@ -114,10 +114,11 @@ def assign_roles(
     distinct &= table.separating_views(first) >= SAME_PATTERN_VIEWS
     distinct &= table.separating_views(authentic) >= 0.5
     both_shown = np.minimum(shown_share, shown_share[first])
-    edge = table.flag_frequency() > EDGE_FREQUENCY * table.flag_frequency()[first]
-    least = np.where(edge, EDGE_SHARE, COVERED_SHARE) * both_shown.sum(axis=1)
-    distinct &= (both_shown * table.differs(first)).sum(axis=1) >= least
-    often = table.flag_frequency() > SECOND_EDIT * table.flag_frequency()[first]
+    relative = frequency / max(frequency[first], 1e-30)
+    least = np.where(relative > EDGE_FREQUENCY, EDGE_SHARE, COVERED_SHARE)
+    separated = (both_shown * table.differs(first)).sum(axis=1)
+    distinct &= separated >= least * both_shown.sum(axis=1)
+    often = relative > SECOND_EDIT
     second, distractor = np.flatnonzero(distinct & often), np.flatnonzero(distinct & ~often)
     patterns = [
         *table.patterns([authentic], fallback=authentic),

@@ -48,14 +48,14 @@ class RobustEstimator(Estimator):
     Attributes:
         name: Name of the method in results.
         classes: Candidate numbers of latent classes.
-        restarts: EM starts for each candidate; the better half of all starts is used.
+        restarts: EM starts for each candidate; the better half of all fits decides.
         sample: Number of Gaussians to which the classes are fitted.
         half_weight: Weight in pixels at which a view counts one half.
         effective_pixels: Number of independent pixels that a full view counts in EM.
         inversion: Whether masks may be inverted, if there is more than one.
         distractors: Whether authentic regions may be flagged consistently in some views.
         class_log_odds: Log odds between two classes from one full view that separates them.
-        smoothing: Log odds from neighbours that are all tampered; 0 disables smoothing.
+        smoothing: Log odds from neighbours that are all tampered for sure; 0 disables smoothing.
         neighbours: Number of neighbours for smoothing.
         prior_weight: Weight of the prior, in [0, 1]; 0 ignores it, and below 0.5 it does not
             decide between regions that masks label.
@@ -163,26 +163,26 @@ class RobustEstimator(Estimator):
         `flagged`, all probabilities are 0. They are deterministic, and finite for any evidence.
         """
         seen_sum, flagged_sum = gaussian_visibility.summed_visibility(evidence, self.half_weight)
-        seen, roles = seen_sum > 0, []
+        seen, fits = seen_sum > 0, []
         if flagged and seen.any():
             sample = gaussian_visibility.stratified_sample(seen_sum, flagged_sum, self.sample)
-            roles = self._roles(evidence, *sample)
-        if not roles:
+            fits = self._roles_by_fit(evidence, *sample)
+        if not fits:
             nothing = np.zeros(len(seen), np.float32)
             return MaskEstimate(probability=nothing, seen=seen, region=nothing.astype(np.int8))
-        # Fits of nearly the same criterion differ: the median does not depend on rounding.
-        log_odds, nearest = zip(*(self._log_odds(evidence, fit) for fit in roles), strict=True)
-        smoothing = {"strength": self.smoothing, "neighbours": self.neighbours}
-        smoothed = smooth(np.median(log_odds, axis=0), means, seen, **smoothing)
-        probability = np.where(seen, expit(smoothed), 0.0).astype(np.float32)
-        middle = np.argsort([fit.scene_probability for fit in roles])[len(roles) // 2]
-        region = np.where(probability > 0.5, *nearest[middle])
-        return MaskEstimate(probability=probability, seen=seen, roles=roles[middle], region=region)
+        # The best fit alone is often chosen by rounding: criteria are nearly equal.
+        by_fit, nearest = zip(*(self._log_odds(evidence, roles) for roles in fits), strict=True)
+        median = np.median(by_fit, axis=0)
+        agreeing = np.argmin(np.sum(((np.array(by_fit) > 0) != (median > 0))[:, seen], axis=1))
+        median = smooth(median, means, seen, strength=self.smoothing, neighbours=self.neighbours)
+        probability = np.where(seen, expit(median), 0.0).astype(np.float32)
+        region = np.where(probability > 0.5, *nearest[agreeing])
+        return MaskEstimate(probability=probability, seen=seen, roles=fits[agreeing], region=region)
 
-    def _roles(
+    def _roles_by_fit(
         self, evidence: EvidenceOfViews, sample: np.ndarray, represents: np.ndarray
     ) -> list[Roles]:
-        """Fit latent classes to sampled Gaussians (S,); roles of the better half with an edit."""
+        """Roles by the better half of the fits to sampled Gaussians (S,), an odd number of them."""
         seen, flagged = gaussian_visibility.visibility(evidence, sample, self.half_weight)
         fit = fit_classes(
             self.effective_pixels * flagged,
@@ -191,18 +191,18 @@ class RobustEstimator(Estimator):
             restarts=self.restarts,
             seed=self.seed,
         )
-        better = (len(fit.criterion) + 1) // 2
         fitted = map(np.asarray, (fit.classes.rates, fit.classes.shares, fit.responsibilities))
-        roles = [
+        fits = [
             assign_roles(
                 rates[shares > 0],
                 (members[shares > 0] * represents) @ seen.T,
                 inversion=self.inversion and len(seen) > 1,  # one alone differs from no other
                 distractors=self.distractors,
             )
-            for rates, shares, members in zip(*(x[:better] for x in fitted), strict=True)
+            for rates, shares, members in zip(*fitted, strict=True)
         ]
-        return [of_fit for of_fit in roles if of_fit is not None]
+        fits = [roles for roles in fits if roles is not None]  # those of one class have no edit
+        return fits[: len(fits) // 2 | 1]
 
     def _log_odds(self, evidence: EvidenceOfViews, roles: Roles) -> tuple[np.ndarray, np.ndarray]:
         """Log odds of tampering by one fit, (N,); the nearest tampered and other class, (2, N)."""
@@ -211,9 +211,9 @@ class RobustEstimator(Estimator):
         of_flag = flag_weight(self.class_log_odds, np.median(rates))
         logits = -of_flag * false_alarms - self.class_log_odds * misses
         # The best class of each kind: probabilities of similar distractors must not add up.
-        kinds = [np.where(kind, logits, -np.inf) for kind in (roles.tampered, ~roles.tampered)]
-        tampered, other = (of_kind.max(axis=1) for of_kind in kinds)
-        return tampered - other, np.stack([k.argmax(axis=1) for k in kinds]).astype(np.int8)
+        of_kinds = [np.where(kind, logits, -np.inf) for kind in (roles.tampered, ~roles.tampered)]
+        tampered, other = (of_kind.max(axis=1) for of_kind in of_kinds)
+        return tampered - other, np.stack([x.argmax(axis=1) for x in of_kinds]).astype(np.int8)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -223,9 +223,8 @@ class MaskEstimate:
     Attributes:
         probability: Probability of tampering, given an edit, shape (N,) float32; 0 if unseen.
         seen: Mask of the Gaussians visible in at least one view, shape (N,) bool.
-        region: Nearest class, a tampered one if the probability is above one half, in the order of
-            the roles, shape (N,) int8; 0 without roles.
-        roles: Roles in the fit of the median scene probability; None if there is only one class.
+        region: Nearest class of the roles, a tampered one where labelled, shape (N,) int8.
+        roles: Roles by the fit whose labels agree best; None if every fit has one class only.
     """
 
     probability: np.ndarray

@@ -69,7 +69,7 @@ def fit_classes(
     used = np.repeat(counts, restarts)[:, None] > np.arange(max(counts), dtype=np.int32)
     keys = jax.random.split(jax.random.key(seed), len(used))
     fit = _fit_all(flagged, clear, jnp.asarray(used, jnp.float32), keys)
-    classes = dataclasses.replace(fit.classes, rates=fit.classes.rates[:, :, :views])
+    classes = dataclasses.replace(fit.classes, rates=fit.classes.rates[..., :views])
     return dataclasses.replace(fit, classes=classes)
 
 

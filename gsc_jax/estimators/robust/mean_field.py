@@ -21,8 +21,8 @@ def smooth(
     """Log odds (N,) of tampering after mean-field smoothing.
 
     `log_odds` (N,) are those of each Gaussian alone, `means` (N, 3) centres in any unit. Gaussians
-    that no view has `seen` (N,) get and send no message. `strength` is what `neighbours` add to the
-    log odds if all are tampered for sure, and subtract if none is.
+    that no view has `seen` (N,) get and send no message. `strength` is what `neighbours` add if all
+    are surely tampered, and subtract if all are surely authentic.
     """
     means, smoothed = np.asarray(means), np.array(log_odds, np.float32)
     active = np.flatnonzero(seen & np.isfinite(means).all(axis=1))

@@ -116,20 +116,21 @@ VARIANTS: Mapping[str, Method] = {
     "+ relative to the best rate": flag_rate_relative,
     "two latent classes": robust_with(classes=(2,), distractors=False, smoothing=0.0),
     "latent classes": robust_with(distractors=False, smoothing=0.0),
-    "+ rivals": robust_with(smoothing=0.0),
+    "+ distractors": robust_with(smoothing=0.0),
     FULL: predict_with(DEFAULT),
     "robust: no inverted views": robust_with(inversion=False),
-    "robust: no rivals": robust_with(distractors=False),
-    "robust: one start of EM": robust_with(restarts=1),
-    "robust: 8 starts of EM": robust_with(restarts=8),
+    "robust: no distractors": robust_with(distractors=False),
+    "robust: the best of 2 fits": robust_with(restarts=1),
+    "robust: the best 3 of 4 fits": robust_with(restarts=2),
+    "robust: the best 9 of 16 fits": robust_with(restarts=8),
     "robust: 8 classes": robust_with(classes=(8,)),
     "robust: up to 12 classes": robust_with(classes=(4, 8, 12)),
     "robust: 16 neighbours": robust_with(neighbours=16),
     "robust: neighbours by colour too": by_colour_too,
     "robust: compact": compact,
-    "robust: no doubt": robust_with(min_verdict=0.0),
+    "robust: no `min_verdict`": robust_with(min_verdict=0.0),
 }
-"""Variants by their names in the stored rows: rivals are distractors, doubt is `min_verdict`."""
+"""Variants by their names in the tables."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

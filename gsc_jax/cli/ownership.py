@@ -96,9 +96,7 @@ def has_mark(path: Path, mark: str) -> bool:
 def refuse_links(out: Path, places: Sequence[Path]) -> None:
     """Raise InputError for a link among these places in a folder of results."""
     if link := next(filter(Path.is_symlink, places), None):
-        raise InputError(
-            f"{link}: is a link, and results are written inside {out} only; remove the link"
-        )
+        raise InputError(f"{link}: is a link, and results are written inside {out} only; remove it")
 
 
 def refuse_blocked(out: Path, names: Sequence[str]) -> None:

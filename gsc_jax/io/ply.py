@@ -209,9 +209,7 @@ def _check_header(path: Path, max_bytes: int | None) -> None:
         raise ValueError(f"no header from ply to end_header in its first {MAX_HEADER_BYTES} bytes")
     if foreign := next((line for line in header.splitlines() if not line.isascii()), None):
         text = shown(foreign.decode("utf-8", "backslashreplace"))
-        raise InputError(
-            f"{path}: its header has a line that is not ASCII: {text}; remove the line"
-        )
+        raise InputError(f"{path}: a line of its header is not ASCII: {text}; remove the line")
     needed, rows = BYTES_PER_BYTE * size, 0
     number = BYTES_PER_NUMBER if header.split()[1:3] == [b"format", b"ascii"] else 0
     for words in map(bytes.split, header.splitlines()):

@@ -96,9 +96,7 @@ def _better_convention(points: np.ndarray, cameras: Sequence[Camera]) -> str:
     best = max(shares, key=shares.__getitem__)
     if (share := shares[best]) <= max(LOW_SHARE, 3 * median_share(np.asarray)):
         return ""
-    return (
-        f"; perhaps the poses are to be read {best}: a camera would then typically see {share:.0%}"
-    )
+    return f"; perhaps the poses are to be read {best}: a camera then typically sees {share:.0%}"
 
 
 def scale_warnings(gaussians: Gaussians, points: np.ndarray) -> list[str]:

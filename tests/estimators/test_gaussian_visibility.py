@@ -33,9 +33,9 @@ def test_pattern_errors_count_views_that_contradict_a_pattern():
     roles = assign_roles(np.array([[0.1, 0.1], [0.9, 0.9]]), np.array([[9.0, 9.0], [1.0, 1.0]]))
     assert roles is not None
     # A flag contradicts the authentic class, the lack of one contradicts the tampered class.
-    (false_alarms, misses), rates = pattern_errors(evidence, roles, 8.0)
-    assert false_alarms.tolist() == [[0.5, 0.0], [0.125, 0.0]]
-    assert misses.tolist() == [[0.0, 0.5], [0.0, 0.375]]
+    [(false_alarms, misses)], [rates] = pattern_errors(evidence, [roles], 8.0)
+    assert false_alarms.T.tolist() == [[0.5, 0.0], [0.125, 0.0]]
+    assert misses.T.tolist() == [[0.0, 0.5], [0.0, 0.375]]
     assert rates.tolist() == [0.625, 0.0], "the first one is as near to either class"
 
 
@@ -50,7 +50,34 @@ def test_pattern_errors_of_a_mixed_pattern_with_an_inverted_view():
         rates=np.zeros(2),
         seen=np.ones(2),
     )
-    (false_alarms, misses), rates = pattern_errors(evidence, roles, 8.0)
-    assert false_alarms.tolist() == [[0.25, 0.125]]
-    assert misses.tolist() == [[0.0, 0.375]]
+    [(false_alarms, misses)], [rates] = pattern_errors(evidence, [roles], 8.0)
+    assert false_alarms.T.tolist() == [[0.25, 0.125]]
+    assert misses.T.tolist() == [[0.0, 0.375]]
     assert rates.tolist() == [0.25, 0.25]
+
+
+def test_pattern_errors_of_several_fits_are_those_of_each():
+    """Fits of other numbers of classes and other inverted views, over several blocks."""
+    rng = np.random.default_rng(0)
+    total = rng.exponential(8, (6, 70_000)).astype(np.float32)
+    evidence = Evidence(total=total, tampered=total * rng.random(total.shape, np.float32))
+    fits = [
+        Roles(
+            inverted=rng.random(6) < 0.3,
+            patterns=rng.random((classes, 6)) < 0.5,
+            tampered=np.arange(classes) == 1,
+            rates=np.zeros(classes),
+            seen=np.full(classes, 6.0),
+        )
+        for classes in (2, 4, 3)
+    ]
+    together, rates = pattern_errors(evidence, fits, 8.0)
+    seen, flagged = visibility(evidence, slice(None), 8.0)
+    for roles, errors, of_fit in zip(fits, together, rates, strict=True):
+        turned = np.where(roles.inverted[:, None], seen - flagged, flagged)
+        false_alarms = (~roles.patterns).astype(np.float32) @ turned
+        misses = roles.patterns.astype(np.float32) @ (seen - turned)
+        np.testing.assert_allclose(errors, [false_alarms, misses], rtol=1e-5, atol=1e-5)
+        authentic = ~roles.tampered[errors.sum(axis=0).argmin(axis=0)]
+        share = turned[:, authentic].sum(axis=1) / seen[:, authentic].sum(axis=1)
+        np.testing.assert_allclose(of_fit, share, rtol=1e-4)

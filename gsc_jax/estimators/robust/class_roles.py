@@ -99,7 +99,7 @@ def assign_roles(
     shown_share = weights / np.maximum(weights.max(axis=1, keepdims=True), 1e-30)
     seen = np.minimum(1.0, shown_share / FULL_VIEW)
     heaviest = _RateTable(rates=rates, seen=seen).heaviest(mass)
-    authentic = np.argmax(np.where(heaviest, mass, -1.0))
+    authentic = int(np.argmax(np.where(heaviest, mass, -1.0)))
     shown, flagged = (x[heaviest].sum(axis=0) for x in (weights, weights * rates))
     inverted = inversion & (flagged > 0.5 * shown) & (shown >= FULL_VIEW * shown.max())
     table = _RateTable(rates=np.where(inverted, 1 - rates, rates), seen=seen)
@@ -109,7 +109,7 @@ def assign_roles(
         return None
     frequency = np.where(others, table.flag_frequency(), -1.0)
     near_best = frequency >= NEAR_BEST * frequency.max()
-    first = np.argmax(np.where(near_best, mass * table.sharpness, -1.0))
+    first = int(np.argmax(np.where(near_best, mass * table.sharpness, -1.0)))
     distinct = others & distractors & (table.sharpness >= MIN_SHARPNESS)
     distinct &= table.separating_views(first) >= SAME_PATTERN_VIEWS
     distinct &= table.separating_views(authentic) >= 0.5

@@ -11,6 +11,7 @@ the reliability of each mask from the same evidence:
 """
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.special import expit
@@ -171,7 +172,8 @@ class RobustEstimator(Estimator):
             nothing = np.zeros(len(seen), np.float32)
             return MaskEstimate(probability=nothing, seen=seen, region=nothing.astype(np.int8))
         # The best fit alone is often chosen by rounding: criteria are nearly equal.
-        by_fit, nearest = zip(*(self._log_odds(evidence, roles) for roles in fits), strict=True)
+        errors = zip(fits, *pattern_errors(evidence, fits, self.half_weight), strict=True)
+        by_fit, nearest = zip(*(self._log_odds(*fit) for fit in errors), strict=True)
         median = np.median(by_fit, axis=0)
         agreeing = np.argmin(np.sum(((np.array(by_fit) > 0) != (median > 0))[:, seen], axis=1))
         median = smooth(median, means, seen, strength=self.smoothing, neighbours=self.neighbours)
@@ -204,16 +206,16 @@ class RobustEstimator(Estimator):
         fits = [roles for roles in fits if roles is not None]  # those of one class have no edit
         return fits[: len(fits) // 2 | 1]
 
-    def _log_odds(self, evidence: EvidenceOfViews, roles: Roles) -> tuple[np.ndarray, np.ndarray]:
-        """Log odds of tampering by one fit, (N,); the nearest tampered and other class, (2, N)."""
-        (false_alarms, misses), rates = pattern_errors(evidence, roles, self.half_weight)
+    def _log_odds(self, roles: Roles, errors: np.ndarray, rates: np.ndarray) -> list[np.ndarray]:
+        """Log odds of tampering by one fit, (N,); its nearest tampered and other class, (2, N)."""
         # Not the mean, which a large authentic region that only some views flag would raise.
-        of_flag = flag_weight(self.class_log_odds, np.median(rates))
-        logits = -of_flag * false_alarms - self.class_log_odds * misses
+        of_flag = np.float32(flag_weight(self.class_log_odds, np.median(rates)))
+        costs = of_flag * errors[0] + np.float32(self.class_log_odds) * errors[1]
         # The best class of each kind: probabilities of similar distractors must not add up.
-        of_kinds = [np.where(kind, logits, -np.inf) for kind in (roles.tampered, ~roles.tampered)]
-        tampered, other = (of_kind.max(axis=1) for of_kind in of_kinds)
-        return tampered - other, np.stack([x.argmax(axis=1) for x in of_kinds]).astype(np.int8)
+        kinds = [np.flatnonzero(kind) for kind in (roles.tampered, ~roles.tampered)]
+        nearest = np.stack([kind[costs[kind].argmin(axis=0)] for kind in kinds])
+        tampered, other = np.take_along_axis(costs, nearest, axis=0)
+        return [other - tampered, nearest.astype(np.int8)]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -234,24 +236,30 @@ class MaskEstimate:
 
 
 def pattern_errors(
-    evidence: EvidenceOfViews, roles: Roles, half_weight: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Number of views whose masks are wrong about a Gaussian if it belongs to a class.
+    evidence: EvidenceOfViews, fits: Sequence[Roles], half_weight: float
+) -> tuple[list[np.ndarray], np.ndarray]:
+    """Number of views whose masks are wrong about a Gaussian if it belongs to a class of a fit.
 
     First the views that flag it and should not, then those that should and do not, weighted by
-    visibility (one half at `half_weight` pixels), (2, N, C) float32. Also the share that each view
-    flags of the Gaussians that are nearest to an authentic class, (V,).
+    visibility (one half at `half_weight` pixels), (2, C, N) float32 for each of F fits. Also the
+    share that each view flags of the Gaussians nearest to an authentic class of a fit, (F, V).
     """
-    patterns = roles.patterns.T.astype(np.float32)
-    errors = np.empty((2, evidence.shape[1], len(roles.patterns)), np.float32)
-    sums = np.zeros((2, evidence.shape[0]))
-    for block in blocks(errors.shape[1], gaussian_visibility.BLOCK):
+    ends = np.cumsum([len(roles.patterns) for roles in fits])[:-1]
+    patterns = np.concatenate([roles.patterns for roles in fits])
+    expected = np.concatenate([roles.patterns ^ roles.inverted for roles in fits])  # as masks are
+    inverted = np.stack([roles.inverted for roles in fits])
+    kinds = np.stack([~patterns, patterns])
+    if_flagged, if_clear = ((kinds & wrong).astype(np.float32) for wrong in (~expected, expected))
+    errors = np.empty((2, len(patterns), evidence.shape[1]), np.float32)
+    sums = np.zeros((2, *inverted.shape))
+    for block in blocks(evidence.shape[1], gaussian_visibility.BLOCK):
         seen, flagged = gaussian_visibility.visibility(evidence, block, half_weight)
-        flagged = np.where(roles.inverted[:, None], seen - flagged, flagged)
-        errors[:, block] = flagged.T @ (1 - patterns), (seen - flagged).T @ patterns
-        authentic = ~roles.tampered[errors[:, block].sum(axis=0).argmin(axis=1)]
-        sums += np.stack([flagged, seen]) @ authentic.astype(np.float32)
-    return errors, sums[0] / np.maximum(sums[1], 1e-30)
+        errors[..., block] = if_flagged @ flagged + if_clear @ (seen - flagged)
+        by_fit = zip(fits, np.split(errors[..., block].sum(axis=0), ends), strict=True)
+        authentic = np.stack([~roles.tampered[x.argmin(axis=0)] for roles, x in by_fit])
+        sums += [authentic.astype(np.float32) @ part.T for part in (flagged, seen)]
+    false_alarms = np.where(inverted, sums[1] - sums[0], sums[0])
+    return np.split(errors, ends, axis=1), false_alarms / np.maximum(sums[1], 1e-30)
 
 
 def flag_weight(log_odds: float, rate: float) -> float:

@@ -119,7 +119,7 @@ def result_file(folder: Path, name: str | Path) -> Path:
     """Path of a file in a folder of results; InputError if a link leads out of the folder."""
     path = folder / name
     if not Path(os.path.realpath(path)).is_relative_to(os.path.realpath(folder)):
-        raise InputError(f"{path}: a link out of {folder}, which is not followed; copy the file")
+        raise InputError(f"{path}: a link leads out of {folder} and is refused; copy the file")
     return path
 
 

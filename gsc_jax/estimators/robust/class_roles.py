@@ -25,10 +25,9 @@ RATE_DIFFERENCE = 0.6
 """A view separates two classes if their rates differ by more."""
 SAME_PATTERN_VIEWS = 1.5
 """Classes that fewer views separate count as one object."""
-COVERED_SHARE, EDGE_SHARE, EDGE_FREQUENCY = 0.15, 0.25, 0.65
-"""A class is no object of its own if less than the first share of what it and the edit show is in
-views that separate them, where a covered part of an edit is flagged by chance. The second is for
-classes flagged more than 0.65 times as often as the edit, such as edges that ragged masks miss."""
+SEPARATED_SHARE = 0.15
+"""Two classes are also one object if less than this share of what both show is in views that
+separate them: views in which a part of an edit is covered flag that part by chance."""
 NEGLIGIBLE_WEIGHT = 1e-4
 """Share of all weight below which a class is ignored."""
 NEAR_BEST = 0.9
@@ -99,7 +98,7 @@ def assign_roles(
     shown_share = weights / np.maximum(weights.max(axis=1, keepdims=True), 1e-30)
     seen = np.minimum(1.0, shown_share / FULL_VIEW)
     heaviest = _RateTable(rates=rates, seen=seen).heaviest(mass)
-    authentic = int(np.argmax(np.where(heaviest, mass, -1.0)))
+    authentic = _largest(mass, heaviest)
     shown, flagged = (x[heaviest].sum(axis=0) for x in (weights, weights * rates))
     inverted = inversion & (flagged > 0.5 * shown) & (shown >= FULL_VIEW * shown.max())
     table = _RateTable(rates=np.where(inverted, 1 - rates, rates), seen=seen)
@@ -108,17 +107,13 @@ def assign_roles(
     if not others.any():
         return None
     frequency = np.where(others, table.flag_frequency(), -1.0)
-    near_best = frequency >= NEAR_BEST * frequency.max()
-    first = int(np.argmax(np.where(near_best, mass * table.sharpness, -1.0)))
+    first = _largest(mass * table.sharpness, frequency >= NEAR_BEST * frequency.max())
     distinct = others & distractors & (table.sharpness >= MIN_SHARPNESS)
     distinct &= table.separating_views(first) >= SAME_PATTERN_VIEWS
     distinct &= table.separating_views(authentic) >= 0.5
     both_shown = np.minimum(shown_share, shown_share[first])
-    relative = frequency / max(frequency[first], 1e-30)
-    least = np.where(relative > EDGE_FREQUENCY, EDGE_SHARE, COVERED_SHARE)
-    separated = (both_shown * table.differs(first)).sum(axis=1)
-    distinct &= separated >= least * both_shown.sum(axis=1)
-    often = relative > SECOND_EDIT
+    distinct &= (both_shown * table.differs(first)).sum(1) >= SEPARATED_SHARE * both_shown.sum(1)
+    often = table.flag_frequency() > SECOND_EDIT * table.flag_frequency()[first]
     second, distractor = np.flatnonzero(distinct & often), np.flatnonzero(distinct & ~often)
     patterns = [
         *table.patterns([authentic], fallback=authentic),
@@ -133,6 +128,10 @@ def assign_roles(
         rates=table.flag_frequency(1e-30)[order],
         seen=seen.sum(axis=1)[order],
     )
+
+
+def _largest(values: np.ndarray, among: np.ndarray) -> int:
+    return int(np.argmax(np.where(among, values, -1.0)))
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

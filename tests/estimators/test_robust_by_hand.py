@@ -135,7 +135,7 @@ def test_em_finds_the_given_roles():
 
 @pytest.mark.parametrize(("restarts", "fits"), [(1, 1), (2, 3), (3, 3), (4, 5), (5, 5), (8, 9)])
 def test_the_better_half_of_the_fits_decides_and_is_odd(restarts, fits):
-    """With 4 and with 8 classes, twice as many fits as restarts."""
+    """EM starts `restarts` times with 4 classes and as often with 8: all these are fits."""
     assert (
         len(dataclasses.replace(ESTIMATOR, restarts=restarts)._roles_by_fit(GROUPS, *EVERYTHING))
         == fits
@@ -169,9 +169,9 @@ def test_what_most_fits_say_is_labelled_and_a_fit_that_agrees_is_reported(edit):
 
 @pytest.mark.parametrize(("with_distractor", "log_odds"), [(0, 12), (1, 12), (2, 1.5), (3, -9)])
 def test_the_median_of_several_fits_counts(with_distractor, log_odds):
-    """Some of four fits have a distractor, which differs less from a Gaussian than the edit.
+    """Four fits: all have the edit, some a distractor, whose pattern is nearer to the Gaussian.
 
-    It differs in 1 view from it, in 4 from the edit, in 8 from what is authentic.
+    The Gaussian differs in 1 view from it, in 4 from the edit, in 8 from what is authentic.
     """
     share = [1.0] * 8 + [0.0] * 4
     fits = ((0, 1),) * (4 - with_distractor) + ((0, 1, 2),) * with_distractor

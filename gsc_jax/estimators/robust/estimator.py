@@ -171,7 +171,7 @@ class RobustEstimator(Estimator):
         if not fits:
             nothing = np.zeros(len(seen), np.float32)
             return MaskEstimate(probability=nothing, seen=seen, region=nothing.astype(np.int8))
-        # The best fit alone is often chosen by rounding: criteria are nearly equal.
+        # The criteria of several fits are nearly equal: rounding would choose the best one.
         errors = zip(fits, *pattern_errors(evidence, fits, self.half_weight), strict=True)
         by_fit, nearest = zip(*(self._log_odds(*fit) for fit in errors), strict=True)
         median = np.median(by_fit, axis=0)

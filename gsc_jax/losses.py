@@ -149,7 +149,6 @@ def standardised_attributes(gaussians: Gaussians) -> np.ndarray:
     log_scales = np.maximum(host.log_scales, -MAX_ABS_LOGIT)
     raw = np.concatenate([host.means, host.sh[:, 0], logits, log_scales, rotations], axis=1).T
     # In NumPy, because a median is a sort, which is ten times slower in XLA on a CPU.
-    usable = raw[:, np.isfinite(raw).all(axis=0)]
-    center, spread = median_and_mad(usable, axis=1)
+    center, spread = median_and_mad(raw[:, np.isfinite(raw).all(axis=0)], axis=1)
     scaled = (raw - center) / np.where(spread > 0, spread, 1.0)
     return np.where((spread > 0) & np.isfinite(scaled), scaled, np.float32(0))

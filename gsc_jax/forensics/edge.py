@@ -35,8 +35,7 @@ def sharpened(scene: Classification, features: Features, places: Places) -> Clas
     near = places.averaged(above.astype(np.float32)) > 0.5
     for _ in range(STEPS):
         near |= places.around.mean(near.astype(np.float32)) > 0
-    around = places.spread_out(near) > 0
-    rows = np.flatnonzero(around)
+    rows = np.flatnonzero(places.spread_out(near) > 0)
     some = rows[:: max(-(-len(rows) // SAMPLE), 1)]
     if len(np.unique(above[some])) < 2:
         return scene

@@ -50,8 +50,7 @@ def read_colmap(folder: Path, *, max_bytes: int | None = None) -> list[Camera]:
         intrinsics = dict(readers[0](files[0]))
     with reported(f"{files[1]}: missing or damaged", remedy):
         images = sorted(readers[1](files[1]))
-    none = "", (0, 0), ()
-    return [_camera(image, intrinsics.get(image[1], none), folder) for image in images]
+    return [_camera(image, intrinsics.get(image[1], ("", (0, 0), ())), folder) for image in images]
 
 
 def _binary_cameras(path: Path) -> Iterator[tuple[int, _Intrinsics]]:

@@ -178,11 +178,11 @@ def save_parts(
 def _parse(path: Path, max_bytes: int | None) -> PlyData:
     expected = "; expected the .ply of a 3D Gaussian splatting scene (a .splat needs that suffix)"
     with reported(f"{path}: not a PLY file that can be read", expected):
-        _check_header(path, max_bytes)
+        header = _checked_header(path, max_bytes)
         try:
             # Text values beyond float32 become infinite; `invalid_rows` judges their rows.
             with np.errstate(over="ignore"):
-                ply = PlyData.read(path)
+                ply = PlyData.read(path if header.isascii() else _in_ascii(path, header))
         except PlyElementParseError as error:
             promised = f"; its header promises {error.element.count}" if error.element else ""
             reason = brief(error) + promised
@@ -195,7 +195,7 @@ def _parse(path: Path, max_bytes: int | None) -> PlyData:
     return ply
 
 
-def _check_header(path: Path, max_bytes: int | None) -> None:
+def _checked_header(path: Path, max_bytes: int | None) -> bytes:
     """Refuse headers that promise more rows than the file can hold, or more memory than allowed.
 
     A row takes at least one byte per property in the file.
@@ -207,9 +207,6 @@ def _check_header(path: Path, max_bytes: int | None) -> None:
         raise InputError(f"{path}: is packed; unpack it first: {tool} {shown(path.name)}")
     if not header.startswith(b"ply") or not end:
         raise ValueError(f"no header from ply to end_header in its first {MAX_HEADER_BYTES} bytes")
-    if foreign := next((line for line in header.splitlines() if not line.isascii()), None):
-        text = shown(foreign.decode("utf-8", "backslashreplace"))
-        raise InputError(f"{path}: a line of its header is not ASCII: {text}; remove the line")
     needed, rows = BYTES_PER_BYTE * size, 0
     number = BYTES_PER_NUMBER if header.split()[1:3] == [b"format", b"ascii"] else 0
     for words in map(bytes.split, header.splitlines()):
@@ -220,6 +217,13 @@ def _check_header(path: Path, max_bytes: int | None) -> None:
         elif words[:1] == [b"property"]:
             needed += rows * (BYTES_PER_LIST if b"list" in words[1:2] else number)
     check_allocation(path, needed, max_bytes)
+    return header
+
+
+def _in_ascii(path: Path, header: bytes) -> io.BytesIO:
+    """The file with other letters in its header escaped, because plyfile reads ASCII alone."""
+    escaped = header.decode("utf-8", "backslashreplace").encode("ascii", "backslashreplace")
+    return io.BytesIO(escaped + path.read_bytes()[len(header) :])
 
 
 def _scene(ply: PlyData, path: Path) -> PlyScene:

@@ -101,6 +101,22 @@ def test_other_elements_lists_and_comments_are_kept(tmp_path):
     assert written["camera"].data.tolist() == [(5, 2.5)]
 
 
+@pytest.mark.parametrize("text", [False, True])
+@pytest.mark.parametrize(
+    ("comment", "escaped"),
+    [("by Zo\u00eb".encode(), r"by Zo\xeb"), ("\u573a".encode("gbk"), r"\xb3\xa1")],
+)
+def test_comments_in_any_encoding_are_kept_in_ascii(tmp_path, text, comment, escaped):
+    columns = columns_of(random_scene(300, seed=1))
+    path = write_columns(tmp_path / "scene.ply", columns, text=text, comments=["by"])
+    expected = read_ply(path)
+    path.write_bytes(path.read_bytes().replace(b"comment by\n", b"comment " + comment + b"\n"))
+    scene = read_ply(path)
+    assert_same(scene.gaussians, expected.gaussians)
+    save_tampered(path, scene, np.zeros(300))
+    assert PlyData.read(path).comments == [escaped]
+
+
 def test_writing_in_blocks_changes_nothing(tmp_path, monkeypatch):
     gaussians, scores = random_scene(20, degree=2), np.linspace(0, 1, 20)
     for name in ("whole", "blocks"):

@@ -31,9 +31,6 @@ MAX_SHARE = 0.6
 """Share of the pixels beyond which all are lifted instead."""
 MAX_BYTES = 2**30
 """Size of the evidence that is expanded."""
-RESTARTS = 3
-"""Factor of the EM starts for evidence that is coarse in part: the best of a few may be another
-optimum than that of the full evidence."""
 MAX_DEPTH = 4.0
 """Largest optical depth that one splat adds to its tile: large ones cover many others, too."""
 
@@ -181,7 +178,6 @@ def labels_where_needed(
     (at most the `tolerance` of the estimator in the end), and the share of the pixels. No labels if
     all pixels are needed, because nothing is labelled or because the parts are large.
     """
-    estimator = dataclasses.replace(estimator, restarts=RESTARTS * estimator.restarts)
     rows, outside = views.candidates, []
     while rows.any():
         evidence, pixels = views.observe(rows, MAX_SHARE)

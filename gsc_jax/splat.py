@@ -29,8 +29,8 @@ from gsc_jax.scene import Array, Camera, Gaussians
 
 def _require_rows(view: View, features: Array) -> None:
     count = view.splats.shape[0] - 1
-    if features.ndim != 2 or features.shape[0] != count:
-        raise ValueError(f"features must be ({count}, D), got {features.shape}")
+    if features.ndim != 2 or features.shape[0] != count or not features.shape[1]:
+        raise ValueError(f"features must be ({count}, D) with D > 0, got {features.shape}")
 
 
 @jax.custom_vjp

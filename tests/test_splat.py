@@ -260,12 +260,12 @@ def test_images_of_similar_sizes_share_the_compiled_walk(caplog, monkeypatch):
         assert f"XLA compilation of jit({name})" not in caplog.text
 
 
-@pytest.mark.parametrize("shape", [(7, 3), (17, 15, 1), (15, 17), (8,)])
+@pytest.mark.parametrize("shape", [(7, 3), (17, 15, 1), (15, 17), (8,), (8, 0)])
 def test_features_and_maps_of_another_shape_are_refused(shape):
     gaussians, values = random_scene(8), jnp.ones(shape)
-    with pytest.raises(ValueError, match=r"\(8, D\), got"):
+    with pytest.raises(ValueError, match=r"\(8, D\) with D > 0, got"):
         gsc_jax.render_features(gaussians, VIEW, values)
-    with pytest.raises(ValueError, match=r"\(8, D\), got"):
+    with pytest.raises(ValueError, match=r"\(8, D\) with D > 0, got"):
         composite(make_view(gaussians, VIEW), values)
     with pytest.raises(ValueError, match=r"\(15, 17, D\), got"):
         gsc_jax.accumulate(gaussians, VIEW, values)

@@ -18,7 +18,7 @@ from gsc_jax.io.layout import DC, NORMAL, POSITION, REST, ROTATION, SCALE
 from gsc_jax.io.ply import MAX_HEADER_BYTES, PlyScene, read_ply
 from gsc_jax.render.projection import MIN_ALPHA
 from gsc_jax.render.spherical_harmonics import Y0
-from gsc_jax.render.visibility import scale_warnings
+from gsc_jax.render.visibility import storage_warnings
 from gsc_jax.scene import Gaussians, InputError
 
 INRIA = (*POSITION, *NORMAL, *DC, *REST, "opacity", *SCALE, *ROTATION)
@@ -136,8 +136,8 @@ def row_problems(scene: PlyScene) -> Iterator[Problem]:
         yield Problem("warning", reason, count, text)
     gaussians = scene.gaussians
     means = np.asarray(gaussians.means, np.float64)
-    for text in scale_warnings(gaussians, means):
-        yield Problem("warning", "linear scales", 0, text)
+    for name, text in storage_warnings(gaussians, means).items():
+        yield Problem("warning", name, 0, text)
     for level, name, rows, text in _extremes(gaussians, means):
         if count := int(np.count_nonzero(rows)):
             yield Problem(level, name, count, text)

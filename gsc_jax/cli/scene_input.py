@@ -15,7 +15,7 @@ from gsc_jax.io.validation import naming
 from gsc_jax.render.interior import moved_indoors
 from gsc_jax.render.orbit import opaque_means, orbit_cameras
 from gsc_jax.render.up import estimated_up, parse_up, up_text
-from gsc_jax.render.visibility import check_views, scale_warnings
+from gsc_jax.render.visibility import check_views, storage_warnings
 from gsc_jax.scene import Camera, InputError
 
 ORBIT_VIEWS, PREVIEW_VIEWS = 24, 12
@@ -102,7 +102,7 @@ def choose_cameras(
 ) -> list[Camera]:
     """The --views of the cameras, evenly spaced, or all of them; refused if they see no scene."""
     if not cameras:  # none were placed, so that only the scene is checked
-        warnings += scale_warnings(scene.gaussians, opaque_means(scene.gaussians))
+        warnings += storage_warnings(scene.gaussians, opaque_means(scene.gaussians)).values()
         return []
     count = options.views or len(cameras)
     if count > len(cameras):

@@ -42,6 +42,7 @@ class FolderDetector:
         self.path = Path(path)
         self._limit = max_bytes
         self._files = _image_files(self.path)
+        self._dim: set[str] = set()
         self._index: dict[tuple[str, str], list[str]] = defaultdict(list)
         for file in self._files:
             stem = file.rpartition(".")[0]
@@ -73,6 +74,9 @@ class FolderDetector:
             )
         path = self.path / match[1]
         probability = masks.read_probability(path, zero_one=self.zero_one, max_bytes=self._limit)
+        high = probability.max()  # level 1 of 255 may be a map without anything tampered
+        if 0 < high <= 0.5 and high * 255 != 1 and np.isin(probability, (0, high)).all():
+            self._dim.add(match[1])
         with naming(path):
             return same_view(probability, camera)
 
@@ -94,9 +98,12 @@ class FolderDetector:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Assumptions about the levels of the images."""
-        assumption = f"{self.path}: no level above 1 in any image, read as 0/1 masks"
-        return (assumption,) if self.zero_one else ()
+        """Assumptions about the levels of the images, of dim masks for those read so far."""
+        found = ["no level above 1 in any image, read as 0/1 masks"] * self.zero_one
+        if self._dim:
+            which = f"{len(self._dim)} masks, such as {min(self._dim)!r},"
+            found.append(f"{which} have two levels, neither of them white, and so flag nothing")
+        return tuple(f"{self.path}: {text}" for text in found)
 
     def _matched(self, cameras: Sequence[Camera]) -> set[str]:
         """Names of the cameras that have a mask, each file given to its most exact match."""

@@ -22,6 +22,8 @@ MODELS = {"SIMPLE_PINHOLE": 3, "PINHOLE": 4, "SIMPLE_RADIAL": 4, "RADIAL": 5, "O
 MODELS |= {"OPENCV_FISHEYE": 8, "FULL_OPENCV": 12, "FOV": 5, "SIMPLE_RADIAL_FISHEYE": 4}
 MODELS |= {"RADIAL_FISHEYE": 5, "THIN_PRISM_FISHEYE": 12}
 """Number of parameters of the camera models, in the order of their numbers in binary files."""
+FOCAL_LENGTHS = {"SIMPLE_PINHOLE": 1, "PINHOLE": 2, "SIMPLE_RADIAL": 1, "RADIAL": 1, "OPENCV": 2}
+"""Number of focal lengths of the models that are a pinhole if their distortion is zero."""
 BYTES_PER_BYTE = {True: 2, False: 8}
 """Memory per byte of a binary file, and of a text: lines, and the images of the shortest lines."""
 _Intrinsics = tuple[str, tuple[int, int], tuple[float, ...]]
@@ -80,7 +82,7 @@ def _binary_images(path: Path) -> Iterator[_Image]:
 
 
 def _text_cameras(path: Path) -> Iterator[tuple[int, _Intrinsics]]:
-    for line in _lines(path):
+    for line in filter(str.strip, _lines(path)):
         camera_id, model, width, height, *params = line.split()
         values = tuple(map(float, params))
         if len(values) != MODELS.get(model, len(values)):
@@ -89,33 +91,32 @@ def _text_cameras(path: Path) -> Iterator[tuple[int, _Intrinsics]]:
 
 
 def _text_images(path: Path) -> Iterator[_Image]:
-    for line in _lines(path, skip=1):  # the points in the image
-        _, *pose, camera_id, name = line.strip().split(maxsplit=9)
-        if len(pose) != 7:
-            raise ValueError(f"image {name} has {len(pose)} numbers of a pose")
-        yield name, int(camera_id), tuple(map(float, pose))
+    image = False  # whether the line before is an image: after it, some programs omit the points
+    for line in _lines(path):
+        image = bool(line.strip()) and not (image and len(line.split()) % 3 == 0)
+        if image:
+            _, *pose, camera_id, name = line.strip().split(maxsplit=9)
+            if len(pose) != 7:
+                raise ValueError(f"image {name} has {len(pose)} numbers of a pose")
+            yield name, int(camera_id), tuple(map(float, pose))
 
 
-def _lines(path: Path, *, skip: int = 0) -> Iterator[str]:
-    """Lines that are neither empty nor comments; after each, `skip` lines of any content."""
-    with path.open(encoding="utf-8") as file:
-        for line in file:
-            if line.strip() and not line.startswith("#"):
-                yield line
-                for _ in range(skip):
-                    next(file, "")
+def _lines(path: Path) -> Iterator[str]:
+    """Lines that are not comments."""
+    with path.open(encoding="utf-8-sig") as file:
+        yield from (line for line in file if not line.startswith("#"))
 
 
 def _camera(image: _Image, intrinsics: _Intrinsics, folder: Path) -> Camera:
     (name, _, pose), (model, size, params) = image, intrinsics
     where = f"{folder}: image {shown(name)}"
-    if model not in ("PINHOLE", "SIMPLE_PINHOLE"):
+    count = FOCAL_LENGTHS.get(model, 0)
+    if not count or any(params[count + 2 :]):
         found = f"a {shown(model)[1:-1]} camera" if model else "no camera"
         raise InputError(
             f"{where} has {found}, expected PINHOLE or SIMPLE_PINHOLE; "
             "undistort images and model first (colmap image_undistorter)"
         )
-    *focal, cx, cy = params
     if not any(pose[:4]):
         problem = "the quaternion of its pose is 0, expected a rotation; export it again"
         raise InputError(f"{where}: {problem}")
@@ -123,4 +124,5 @@ def _camera(image: _Image, intrinsics: _Intrinsics, folder: Path) -> Camera:
         with np.errstate(all="ignore"):  # `pinhole` refuses what is not finite
             rotation = Rotation.from_quat(pose[:4], scalar_first=True).as_matrix()
             world = np.column_stack([rotation.T, -rotation.T @ pose[4:]])
-        return pinhole(name, world, focal=(focal[0], focal[-1]), center=(cx, cy), size=size)
+        focal = params[0], params[count - 1]
+        return pinhole(name, world, focal=focal, center=params[count : count + 2], size=size)

@@ -99,11 +99,7 @@ def make_view(
 
 
 def bin_view(
-    splats: Splats,
-    camera: Camera,
-    *,
-    lockstep: int | None = None,
-    touching: np.ndarray | None = None,
+    splats: Splats, camera: Camera, *, lockstep: int | None = None, touching: Array | None = None
 ) -> View:
     """Bin projected Gaussians: the second half of `make_view`."""
     touching = None if touching is None else np.asarray(touching)

@@ -59,7 +59,7 @@ def check_views(
         raise InputError(f"the cameras see {share_ahead:.2%} of the Gaussians{advice}")
     if share < MIN_SHARE:
         raise InputError(_near_message(depths, near))
-    warnings = scale_warnings(gaussians, points)
+    warnings = list(storage_warnings(gaussians, points).values())
     if seen.sum() < 0.5 * (depths > 0).sum():
         warnings.append(_near_message(depths, near))
     if share < LOW_SHARE:
@@ -99,16 +99,23 @@ def _better_convention(points: np.ndarray, cameras: Sequence[Camera]) -> str:
     return f"; perhaps the poses are to be read {best}: a camera then typically sees {share:.0%}"
 
 
-def scale_warnings(gaussians: Gaussians, points: np.ndarray) -> list[str]:
-    """Warn if the scales look as if they were stored linearly: every Gaussian is then huge."""
-    log_scales = np.asarray(gaussians.log_scales)
+def storage_warnings(gaussians: Gaussians, points: np.ndarray) -> dict[str, str]:
+    """Warnings, by name, about scales that were stored linearly and positions that are rounded."""
+    found, log_scales = {}, np.asarray(gaussians.log_scales)
     extent = np.ptp(np.percentile(points, [10, 90], axis=0), axis=0).max()
-    if np.mean(log_scales >= 0) < 0.99 or np.exp(np.median(log_scales)) < 0.05 * extent:
-        return []
-    return [
-        "the Gaussians are as large as the scene: its scales may not have been stored as "
-        "logarithms; take the logarithm of scale_0, scale_1 and scale_2"
-    ]
+    size = np.exp(np.median(log_scales))
+    if np.mean(log_scales >= 0) >= 0.99 and size >= 0.05 * extent:
+        found["linear scales"] = (
+            "the Gaussians are as large as the scene: its scales may not have been stored as "
+            "logarithms; take the logarithm of scale_0, scale_1 and scale_2"
+        )
+    distance = np.median(np.abs(points).max(axis=1))
+    if 0 < size < 4 * (step := np.spacing(np.float32(distance))):
+        found["rounded positions"] = (
+            f"positions {distance:.0e} from the origin are rounded to steps of {step:.2g}, while "
+            f"Gaussians have a size of {size:.2g}; export scene and cameras near the origin"
+        )
+    return found
 
 
 def _near_message(depths: np.ndarray, near: float) -> str:

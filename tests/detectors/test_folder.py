@@ -133,6 +133,31 @@ def test_zero_one_is_decided_for_the_whole_folder(tmp_path):
     assert FolderDetector(soft).warnings == ()
 
 
+@pytest.mark.parametrize(
+    ("levels", "dim"),
+    [
+        (np.uint8([0, 2]), True),
+        (np.uint8([0, 127]), True),
+        (np.uint16([0, 255]), True),
+        (np.uint16([0, 1]), True),
+        (np.uint8([0, 1]), False),  # with a white mask beside it: sure that nothing is tampered
+        (np.uint8([0, 0]), False),
+        (np.uint8([0, 2, 5]), False),
+        (np.uint8([0, 128]), False),
+    ],
+)
+def test_masks_whose_white_is_a_dark_grey_are_named(tmp_path, levels, dim):
+    iio.imwrite(tmp_path / "a.png", np.resize(levels, (4, 6)))
+    iio.imwrite(tmp_path / "b.png", np.resize(np.uint8([0, 255]), (4, 6)))
+    detector = FolderDetector(tmp_path)
+    for name in "abaa":
+        detector(None, view(name))
+    assert detector.warnings == dim * (
+        f"{tmp_path}: 1 masks, such as 'a.png', have two levels, neither of them white, "
+        "and so flag nothing",
+    )
+
+
 @pytest.mark.parametrize("name", ["a", "a.png", "img.0001.JPG", "left/a.b.JPG", "left\\a"])
 def test_written_mask_is_read_for_its_camera(tmp_path, name):
     masks.write_mask(masks.image_path(tmp_path, name), np.ones((5, 5), bool))

@@ -8,7 +8,7 @@ from data import SCENES, load_scene, needs_data
 from strategies import ball, camera, random_scene
 
 from gsc_jax.render.orbit import orbit_cameras
-from gsc_jax.render.visibility import check_views
+from gsc_jax.render.visibility import check_views, storage_warnings
 from gsc_jax.scene import Camera, Gaussians, InputError
 
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -104,6 +104,15 @@ def test_scales_that_are_not_logarithms_give_a_warning():
     assert not any("logarithm" in warning for warning in check_views(scene, cameras))
     linear = dataclasses.replace(scene, log_scales=np.exp(scene.log_scales))
     assert any("logarithm" in warning for warning in check_views(linear, cameras))
+
+
+def test_positions_that_float32_rounds_give_a_warning():
+    scene = random_scene(400)
+    for distance, rounded in ((1e3, False), (4e6, True)):
+        far = dataclasses.replace(scene, means=scene.means + np.float32(distance))
+        warnings = storage_warnings(far, far.means)
+        assert list(warnings) == ["rounded positions"] * rounded
+        assert not rounded or "4e+06 from the origin are rounded to steps of 0.25" in str(warnings)
 
 
 def test_no_cameras_and_no_gaussians_are_refused():

@@ -14,12 +14,8 @@ import numpy as np
 from gsc_jax.cli.pictures import layer_path
 from gsc_jax.scene.parallel import ViewThreads, bounded_map
 
-LAYERS = {
-    "render": "Render",
-    "detector": "Probability map",
-    "masks": "Final mask",
-    "overlay": "Overlay",
-}
+LAYERS = {"render": "Render", "detector": "Probability map"}
+LAYERS |= {"masks": "Final mask", "overlay": "Overlay"}
 """Images of a view: folder and title, in the order of their keys."""
 MAX_SIDE_PIXELS, MIN_SIDE_PIXELS = 320, 120
 """Longest side of a thumbnail: the width of a column, and what is still recognisable."""

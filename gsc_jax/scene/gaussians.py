@@ -46,7 +46,7 @@ class Gaussians:
 
     def __len__(self) -> int:
         """Number of Gaussians."""
-        return self.means.shape[0]
+        return np.shape(self.means)[0]
 
     @property
     def scales(self) -> jax.Array:
@@ -120,8 +120,8 @@ def check_shapes(gaussians: Gaussians) -> None:
     count, harmonics = len(gaussians), [((degree + 1) ** 2, 3) for degree in range(4)]
     columns = {"means": [(3,)], "log_scales": [(3,)], "quats": [(4,)], "logit_opacities": [()]}
     for name, widths in {**columns, "sh": harmonics}.items():
-        shapes = [(count, *width) for width in widths]
-        if (found := np.shape(getattr(gaussians, name))) not in shapes:
+        shapes, values = [(count, *width) for width in widths], getattr(gaussians, name)
+        if (found := getattr(values, "shape", type(values))) not in shapes:
             known = " or ".join(map(str, shapes))
             raise ValueError(f"{name} of {count} Gaussians must be {known}, got {found}")
 

@@ -22,8 +22,9 @@ ORBIT_VIEWS, PREVIEW_VIEWS = 24, 12
 """Number of cameras on an orbit: one every 15 degrees, or 30 where views only show a result."""
 Y_UP_FORMAT, Z_UP_COMMENT = ".glb", "Vertical Axis: z"
 """The vertical of all glTF is +y; nerfstudio writes a comment. Brush calls any vertical "y"."""
-MIN_SIDE_PIXELS, MAX_PIXELS = 8, 50_000_000
-"""Limits of image sizes; beyond them, the camera or --scale is most likely a typing error."""
+MAX_WIDTH, MIN_SIDE_PIXELS, MAX_PIXELS = 1600, 8, 50_000_000
+"""Width to which wider views are scaled, as INRIA's trainer does, since labels gain nothing; limits
+of image sizes beyond which the camera or --scale is most likely a typing error."""
 
 
 def check_numbers(options: SceneOptions) -> None:
@@ -32,7 +33,7 @@ def check_numbers(options: SceneOptions) -> None:
         raise InputError(f"--views {options.views}: expected at least one view")
     memory_limit(options.memory)
     for flag, value in {"scale": options.scale, "near": options.near}.items():
-        if not (math.isfinite(value) and value > 0):
+        if value is not None and not (math.isfinite(value) and value > 0):
             raise InputError(f"--{flag} {value:g}: expected a positive number")
     if options.seed < 0:
         raise InputError(f"--seed {options.seed}: expected 0 or more")
@@ -72,10 +73,8 @@ def _read_cameras(
     elif count == 0:
         return []
     else:
-        stated = "z" if Z_UP_COMMENT in scene.ply.comments else None
-        if options.scene.is_file() and options.scene.suffix.lower() == Y_UP_FORMAT:
-            stated = "y"
-        known = options.up or stated
+        y_up = options.scene.is_file() and options.scene.suffix.lower() == Y_UP_FORMAT
+        known = options.up or ("y" if y_up else "z" * (Z_UP_COMMENT in scene.ply.comments))
         up = parse_up(known) if known else estimated_up(gaussians)
         orbit = orbit_cameras(gaussians, count, up=up, seed=options.seed)
         indoors = moved_indoors(gaussians, orbit, up)
@@ -84,16 +83,20 @@ def _read_cameras(
             f"no --cameras given: {count} cameras were placed {place}, with {up_text(up)} as the "
             "up direction (--up), and written beside the results; the training cameras show more"
         )
-    scaled = [camera.scaled(options.scale) for camera in cameras]
+    scaled = [camera.scaled(options.scale or 1.0) for camera in cameras]
     for camera in scaled:
         pixels, side = camera.width * camera.height, min(camera.width, camera.height)
         if side < MIN_SIDE_PIXELS or pixels > MAX_PIXELS:
             raise InputError(
                 f"{options.cameras or options.scene}: camera {camera.name!r} has {camera.width} x "
-                f"{camera.height} pixels at --scale {options.scale:g}, expected sides of at least "
-                f"{MIN_SIDE_PIXELS} and at most {MAX_PIXELS:,} pixels; correct the size, or choose "
-                "another scale"
+                f"{camera.height} pixels at --scale {options.scale or 1:g}, expected sides of at "
+                f"least {MIN_SIDE_PIXELS} and at most {MAX_PIXELS:,} pixels; correct the size, or "
+                "choose another scale"
             )
+    if options.scale is None and (wide := sum(c.width > MAX_WIDTH for c in cameras)):
+        text = f"{wide} of {len(cameras)} views are computed at a width of {MAX_WIDTH} pixels"
+        warnings.append(f"{text}, as INRIA's trainer does; --scale 1 keeps their size")
+        return [camera.scaled(min(1.0, MAX_WIDTH / camera.width)) for camera in cameras]
     return scaled
 
 
@@ -130,9 +133,7 @@ def check_names(cameras: Sequence[Camera]) -> None:
         if UNFINISHED in path.parts:
             raise InputError(f"camera {name!r}: the name {UNFINISHED} is reserved; rename it")
         if path in names:
-            raise InputError(
-                f"cameras {names[path]!r} and {name!r}: differ only in slashes; rename one"
-            )
+            raise InputError(f"{names[path]!r} and {name!r} differ only in slashes; rename one")
         names[path] = name
     names |= {path.with_suffix(".jpg"): name for path, name in names.items()}
     for path, name in names.items():

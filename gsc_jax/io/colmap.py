@@ -118,8 +118,7 @@ def _camera(image: _Image, intrinsics: _Intrinsics, folder: Path) -> Camera:
             "undistort images and model first (colmap image_undistorter)"
         )
     if not any(pose[:4]):
-        problem = "the quaternion of its pose is 0, expected a rotation; export it again"
-        raise InputError(f"{where}: {problem}")
+        raise InputError(f"{where}: the quaternion of its pose is 0, not a rotation; export again")
     with naming(where, errors=ValueError):
         with np.errstate(all="ignore"):  # `pinhole` refuses what is not finite
             rotation = Rotation.from_quat(pose[:4], scalar_first=True).as_matrix()

@@ -114,7 +114,7 @@ def test_result_json_holds_options_configuration_and_counts(case, found):
     result = report(out)
     command, counts, views = result["command"], result["counts"], result["per_view"]
     assert (command["masks"], command["detector"]) == (str(case / "masks"), [])
-    assert (command["scale"], command["threshold"]) == (1.0, None)
+    assert (command["scale"], command["threshold"]) == (None, None)
     assert (result["method"], result["config"]["threshold"], result["seed"]) == ("robust", 0.5, 0)
     assert 0 < result["verdict"] < 1
     assert {view["reliability"] for view in views} <= {"reliable", "uninformative", "inverted"}

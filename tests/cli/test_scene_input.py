@@ -3,12 +3,14 @@
 import dataclasses
 import json
 
+import imageio.v3 as iio
 import numpy as np
 import pytest
-from cli_case import FIXTURES, refused
+from cli_case import FIXTURES, refused, run
 
 from gsc_jax.cli.scene_input import check_names, evenly_spaced
 from gsc_jax.io.cameras import load_cameras
+from gsc_jax.io.masks import image_path
 
 case, found, own_cache = FIXTURES
 
@@ -70,3 +72,20 @@ def test_names_that_differ_in_case_or_share_a_folder_are_accepted(case):
 def test_memory_is_bounded_by_an_option(case, tmp_path, memory, problem):
     arguments = ("locate", case / "scene.ply", "--memory", memory, "--out", tmp_path / "out")
     assert problem in refused(*arguments)
+
+
+def test_wide_views_are_computed_at_the_width_of_the_trainer(case, tmp_path):
+    cameras = tmp_path / "cameras.json"
+    items = json.loads((case / "cameras.json").read_text())
+    sizes = [{"width": width, "height": 40} for width in (3200, 1600, 64)]
+    cameras.write_text(json.dumps([item | size for item, size in zip(items, sizes, strict=True)]))
+    for options, shapes in {
+        (): ((20, 1600), (40, 1600), (40, 64)),
+        ("--scale", 1): ((40, 3200), (40, 1600), (40, 64)),
+    }.items():
+        out = tmp_path / f"views{len(options)}"
+        answer = run("render", case / "scene.ply", "--cameras", cameras, "--out", out, *options)
+        told = "1 of 3 views are computed at a width of 1600 pixels" in answer.err
+        assert told == (not options)
+        images = [iio.imread(image_path(out, item["img_name"])) for item in items]
+        assert tuple(image.shape[:2] for image in images) == shapes

@@ -149,10 +149,8 @@ def rotation_between(start: np.ndarray, end: np.ndarray) -> np.ndarray:
 
 
 def _with_quaternion_lengths_of(scene: Gaussians, donor: Gaussians) -> Gaussians:
-    """Normalise the quaternions of the donor if those of the scene are normalised.
-
-    Any length is the same rotation, but would reveal the origin of a row.
-    """
+    """Normalise the quaternions of the donor if those of the scene are normalised."""
+    # Any length is the same rotation, but would reveal the origin of a row.
     lengths = np.linalg.norm(np.asarray(scene.quats), axis=1)
     if np.quantile(np.abs(lengths - 1), 0.9) > 1e-3:
         return donor

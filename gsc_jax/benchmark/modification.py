@@ -72,10 +72,8 @@ def warp_gaussians(gaussians: Gaussians, warp: Callable[[jax.Array], jax.Array])
 def _match_axes(
     rotations: np.ndarray, axes: np.ndarray, scales: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Order and orient axes (N, 3, 3) like the columns of rotations, and their scales likewise.
-
-    The singular value decomposition sorts them by size, which would reveal every warped Gaussian.
-    """
+    """Order and orient axes (N, 3, 3) like the columns of rotations, and their scales likewise."""
+    # The decomposition has sorted them by size, which would reveal every warped Gaussian.
     match = np.einsum("nij,nik->njk", rotations, axes)
     orders = np.array(list(itertools.permutations(range(3))))
     agreement = np.abs(match[:, np.arange(3), orders]).sum(axis=-1)

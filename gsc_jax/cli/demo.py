@@ -9,7 +9,7 @@ import sys
 import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, get_args
+from typing import NamedTuple, get_args
 
 import numpy as np
 
@@ -112,10 +112,11 @@ def _made_input(folder: Path, made: MadeScene, seed: int, monitor: Monitor) -> C
 
 
 def _locate(given: Path, name: str, options: Demo, monitor: Monitor) -> Result:
+    scene, cameras, out = given / "scene.ply", given / "cameras.json", options.out / name
     masks = None if name == ATTRIBUTES_ONLY else given / "masks"
-    run: dict[str, Any] = {"out": options.out / name, "method": RUNS[name], "seed": options.seed}
-    files = {"scene": given / "scene.ply", "cameras": given / "cameras.json", "masks": masks}
-    command = Locate(**files, **run)
+    command = Locate(
+        scene=scene, cameras=cameras, masks=masks, out=out, method=RUNS[name], seed=options.seed
+    )
     return run_locate(command, monitor=Monitor(progress=monitor.progress)).result
 
 

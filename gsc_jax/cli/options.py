@@ -49,7 +49,7 @@ class SceneOptions:
             cameras, by default 24, or 12 without a 2D detector.
         up: Up direction for an orbit: x, -x, y, -y, z, -z, or three numbers as 0,0,1. By default +y
             for .glb, else that of the floor, or -y if no floor stands out.
-        scale: Image size relative to that in the camera file; by default at most 1600 wide.
+        scale: Image size relative to that in the camera file.
         near: Near plane in world units; anything closer to a camera is not rendered.
         seed: Seed of everything random.
         no_cache: Do not use the cache folder of this user.
@@ -61,7 +61,7 @@ class SceneOptions:
     cameras: Annotated[Path | None, arg("FILE_OR_DIR", "an orbit")] = None
     views: Annotated[int | None, arg("N", "all")] = None
     up: Annotated[str | None, arg("AXIS", "that of the floor")] = None
-    scale: Annotated[float | None, arg("S", "1")] = None
+    scale: Annotated[float | None, arg("S", "1, or less for a width of 1600")] = None
     near: Annotated[float, arg("DEPTH")] = NEAR
     seed: Annotated[int, arg("K")] = 0
     no_cache: Switch = False

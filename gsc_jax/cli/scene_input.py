@@ -22,9 +22,10 @@ ORBIT_VIEWS, PREVIEW_VIEWS = 24, 12
 """Number of cameras on an orbit: one every 15 degrees, or 30 where views only show a result."""
 Y_UP_FORMAT, Z_UP_COMMENT = ".glb", "Vertical Axis: z"
 """The vertical of all glTF is +y; nerfstudio writes a comment. Brush calls any vertical "y"."""
-MAX_WIDTH, MIN_SIDE_PIXELS, MAX_PIXELS = 1600, 8, 50_000_000
-"""Width to which wider views are scaled, as INRIA's trainer does, since labels gain nothing; limits
-of image sizes beyond which the camera or --scale is most likely a typing error."""
+MAX_WIDTH = 1600
+"""Width to which INRIA's trainer scales wider images, so that models have no finer detail."""
+MIN_SIDE_PIXELS, MAX_PIXELS = 8, 50_000_000
+"""Limits of image sizes; beyond them, the camera or --scale is most likely a typing error."""
 
 
 def check_numbers(options: SceneOptions) -> None:
@@ -74,7 +75,8 @@ def _read_cameras(
         return []
     else:
         y_up = options.scene.is_file() and options.scene.suffix.lower() == Y_UP_FORMAT
-        known = options.up or ("y" if y_up else "z" * (Z_UP_COMMENT in scene.ply.comments))
+        stated = "y" if y_up else "z" if Z_UP_COMMENT in scene.ply.comments else None
+        known = options.up or stated
         up = parse_up(known) if known else estimated_up(gaussians)
         orbit = orbit_cameras(gaussians, count, up=up, seed=options.seed)
         indoors = moved_indoors(gaussians, orbit, up)
@@ -83,8 +85,9 @@ def _read_cameras(
             f"no --cameras given: {count} cameras were placed {place}, with {up_text(up)} as the "
             "up direction (--up), and written beside the results; the training cameras show more"
         )
-    scaled = [camera.scaled(options.scale or 1.0) for camera in cameras]
-    for camera in scaled:
+    stored = [camera.scaled(options.scale or 1.0) for camera in cameras]
+    scaled = stored if options.scale else [c.scaled(min(1, MAX_WIDTH / c.width)) for c in stored]
+    for camera in (*stored, *scaled):
         pixels, side = camera.width * camera.height, min(camera.width, camera.height)
         if side < MIN_SIDE_PIXELS or pixels > MAX_PIXELS:
             raise InputError(
@@ -93,10 +96,9 @@ def _read_cameras(
                 f"least {MIN_SIDE_PIXELS} and at most {MAX_PIXELS:,} pixels; correct the size, or "
                 "choose another scale"
             )
-    if options.scale is None and (wide := sum(c.width > MAX_WIDTH for c in cameras)):
-        text = f"{wide} of {len(cameras)} views are computed at a width of {MAX_WIDTH} pixels"
-        warnings.append(f"{text}, as INRIA's trainer does; --scale 1 keeps their size")
-        return [camera.scaled(min(1.0, MAX_WIDTH / camera.width)) for camera in cameras]
+    if options.scale is None and (wide := sum(c.width > MAX_WIDTH for c in stored)):
+        text = f"{wide} of {len(cameras)} cameras are scaled down to a width of {MAX_WIDTH} pixels"
+        warnings.append(f"{text}, as by INRIA's trainer; --scale 1 keeps their size")
     return scaled
 
 

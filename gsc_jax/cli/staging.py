@@ -155,10 +155,8 @@ def _commit(work: Path, out: Path, report: str) -> None:
 
 
 def _publish(work: Path, out: Path) -> None:
-    """Do what the journal says, or what is left of it.
-
-    Old reports are removed first and new ones moved last: a folder with a report is complete.
-    """
+    """Do what the journal says, or what is left of it."""
+    # Old reports are removed first and new ones moved last: a folder with a report is complete.
     moved, removed = ownership.read_journal(out).values()
     ownership.refuse_blocked(out, [*moved, *removed])
     waiting = [name for name in moved if (work / NEW / name).exists()]

@@ -75,7 +75,8 @@ class FolderDetector:
         path = self.path / match[1]
         probability = masks.read_probability(path, zero_one=self.zero_one, max_bytes=self._limit)
         high = probability.max()  # level 1 of 255 may be a map without anything tampered
-        if 0 < high <= 0.5 and high * 255 != 1 and np.isin(probability, (0, high)).all():
+        dim = probability.min() == 0 < high <= 0.5 and high * 255 != 1
+        if dim and np.isin(probability, (0, high)).all():
             self._dim.add(match[1])
         with naming(path):
             return same_view(probability, camera)
@@ -98,11 +99,11 @@ class FolderDetector:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Assumptions about the levels of the images, of dim masks for those read so far."""
+        """Assumptions about levels, and masks without white among the images read so far."""
         found = ["no level above 1 in any image, read as 0/1 masks"] * self.zero_one
         if self._dim:
-            which = f"{len(self._dim)} masks, such as {min(self._dim)!r},"
-            found.append(f"{which} have two levels, neither of them white, and so flag nothing")
+            names = ", ".join(map(repr, sorted(self._dim)[:5]))
+            found.append(f"masks without white flag nothing ({names}); write them with 0 and 255")
         return tuple(f"{self.path}: {text}" for text in found)
 
     def _matched(self, cameras: Sequence[Camera]) -> set[str]:

@@ -93,8 +93,9 @@ def _text_cameras(path: Path) -> Iterator[tuple[int, _Intrinsics]]:
 def _text_images(path: Path) -> Iterator[_Image]:
     image = False  # whether the line before is an image: after it, some programs omit the points
     for line in _lines(path):
-        image = bool(line.strip()) and not (image and len(line.split()) % 3 == 0)
-        if image:
+        *others, last = line.split() or [""]
+        points = image and len(others) % 3 == 2 and last.lstrip("-").isdigit()
+        if image := bool(last) and not points:
             _, *pose, camera_id, name = line.strip().split(maxsplit=9)
             if len(pose) != 7:
                 raise ValueError(f"image {name} has {len(pose)} numbers of a pose")
@@ -114,8 +115,8 @@ def _camera(image: _Image, intrinsics: _Intrinsics, folder: Path) -> Camera:
     if not count or any(params[count + 2 :]):
         found = f"a {shown(model)[1:-1]} camera" if model else "no camera"
         raise InputError(
-            f"{where} has {found}, expected PINHOLE or SIMPLE_PINHOLE; "
-            "undistort images and model first (colmap image_undistorter)"
+            f"{where} has {found}{' with distortion' * bool(count)}, expected PINHOLE or "
+            "SIMPLE_PINHOLE; undistort images and model first (colmap image_undistorter)"
         )
     if not any(pose[:4]):
         raise InputError(f"{where}: the quaternion of its pose is 0, not a rotation; export again")

@@ -8,6 +8,9 @@ rendered are excluded from the Gaussians, counted by reason, and stay in the fil
 import copy
 import dataclasses
 import io
+import re
+import shutil
+import tempfile
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -182,7 +185,7 @@ def _parse(path: Path, max_bytes: int | None) -> PlyData:
         try:
             # Text values beyond float32 become infinite; `invalid_rows` judges their rows.
             with np.errstate(over="ignore"):
-                ply = PlyData.read(path if header.isascii() else _in_ascii(path, header))
+                ply = _read(path, header)
         except PlyElementParseError as error:
             promised = f"; its header promises {error.element.count}" if error.element else ""
             reason = brief(error) + promised
@@ -196,13 +199,10 @@ def _parse(path: Path, max_bytes: int | None) -> PlyData:
 
 
 def _checked_header(path: Path, max_bytes: int | None) -> bytes:
-    """Refuse headers that promise more rows than the file can hold, or more memory than allowed.
-
-    A row takes at least one byte per property in the file.
-    """
+    """Refuse headers that promise more rows than the file can hold, or more memory than allowed."""
     size = path.stat().st_size
     with path.open("rb") as file:
-        header, end, _ = file.read(MAX_HEADER_BYTES).partition(b"end_header")
+        header, *end = re.split(rb"(?<=[\r\n])end_header", file.read(MAX_HEADER_BYTES), maxsplit=1)
     if tool := next((tool for magic, tool in PACKED.items() if header.startswith(magic)), None):
         raise InputError(f"{path}: is packed; unpack it first: {tool} {shown(path.name)}")
     if not header.startswith(b"ply") or not end:
@@ -212,7 +212,7 @@ def _checked_header(path: Path, max_bytes: int | None) -> bytes:
     for words in map(bytes.split, header.splitlines()):
         if words[:1] == [b"element"]:
             rows = int(words[-1])
-            if not 0 <= rows <= size:
+            if not 0 <= rows <= size:  # a row takes a byte or more
                 raise ValueError(f"cut short? its header promises {rows} rows in {size} bytes")
         elif words[:1] == [b"property"]:
             needed += rows * (BYTES_PER_LIST if b"list" in words[1:2] else number)
@@ -220,10 +220,18 @@ def _checked_header(path: Path, max_bytes: int | None) -> bytes:
     return header
 
 
-def _in_ascii(path: Path, header: bytes) -> io.BytesIO:
-    """The file with other letters in its header escaped, because plyfile reads ASCII alone."""
-    escaped = header.decode("utf-8", "backslashreplace").encode("ascii", "backslashreplace")
-    return io.BytesIO(escaped + path.read_bytes()[len(header) :])
+def _read(path: Path, header: bytes) -> PlyData:
+    """Read a PLY; plyfile needs a copy with escapes for what is not ASCII in the header."""
+    if header.isascii():
+        return PlyData.read(path)
+    text = header.decode("utf-8", "backslashreplace")
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        copied = Path(folder) / "ascii.ply"  # in a file, because plyfile maps those
+        with path.open("rb") as file, copied.open("wb") as out:
+            out.write(text.encode("ascii", "backslashreplace"))
+            file.seek(len(header))
+            shutil.copyfileobj(file, out)
+        return PlyData.read(copied)
 
 
 def _scene(ply: PlyData, path: Path) -> PlyScene:

@@ -81,10 +81,8 @@ def _camera(item: Any, folder: Path) -> Camera:
 
 
 def _image_size(folder: Path, name: str) -> tuple[int, int]:
-    """Width and height in pixels of an image inside a folder; its suffix may be missing.
-
-    Images elsewhere are not opened: the file with the cameras may come from a stranger.
-    """
+    """Width and height in pixels of an image inside a folder; its suffix may be missing."""
+    # Images elsewhere are not opened: the file with the cameras may come from a stranger.
     stem = folder / name
     problem = ValueError(
         f"lacks 'w' and 'h', and {shown(str(stem))} is not an image inside {folder}; add them"

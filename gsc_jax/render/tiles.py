@@ -203,12 +203,10 @@ def bin_splats(
 
 
 def _front_to_back(depths: np.ndarray, visible: np.ndarray) -> np.ndarray:
-    """Indices of the visible splats by depth, ties by index: positive floats sort as their bits.
-
-    A stable sort of 16 bits is a radix sort in NumPy: two of them are faster than one of 64 bits.
-    """
+    """Indices of the visible splats by depth, ties by index: positive floats sort as their bits."""
     index = np.flatnonzero(visible)
     bits = depths.take(index).view(np.uint32)
+    # A stable sort of 16 bits is a radix sort in NumPy: two are faster than one of 64 bits.
     order = np.argsort(bits.astype(np.uint16), kind="stable")
     order = order.take(np.argsort((bits >> 16).astype(np.uint16).take(order), kind="stable"))
     return index.take(order).astype(np.int32)
@@ -247,15 +245,12 @@ class Ellipses(NamedTuple):
 
 @jax.jit
 def _ellipses(splats: Splats) -> Ellipses:
-    """Outlines of all splats; invisible ones have parameters of 1, which no division makes NaN.
-
-    The determinant over c comes from the whitening, because a c - b^2 would cancel.
-    """
+    """Outlines of all splats; invisible ones have parameters of 1, which no division makes NaN."""
     (x, y), (a, b, c), (steep, _, _), reach = (
         jnp.where(splats.visible, leaf.T, 1.0)
         for leaf in (splats.means, splats.covs, splats.whitening, splats.reach)
     )
-    det_over_c = 0.5 / steep**2
+    det_over_c = 0.5 / steep**2  # from the whitening, because a c - b^2 would cancel
     bottom, summit, width = jnp.sqrt(reach * c), b * jnp.sqrt(reach / a), reach * det_over_c
     return Ellipses(x, y, bottom, summit, slope=b / c, width=width, taper=det_over_c / c)
 

@@ -46,7 +46,7 @@ class Gaussians:
 
     def __len__(self) -> int:
         """Number of Gaussians."""
-        return np.shape(self.means)[0]
+        return self.means.shape[0]
 
     @property
     def scales(self) -> jax.Array:
@@ -117,11 +117,12 @@ def check_shapes(gaussians: Gaussians) -> None:
     """Raise ValueError if shapes do not match, TypeError for another type."""
     if not isinstance(gaussians, Gaussians):
         raise TypeError(f"expected Gaussians, as of load_ply, got {type(gaussians).__name__}")
-    count, harmonics = len(gaussians), [((degree + 1) ** 2, 3) for degree in range(4)]
+    count = (*getattr(gaussians.means, "shape", ()), 0)[0]
+    harmonics = [((degree + 1) ** 2, 3) for degree in range(4)]
     columns = {"means": [(3,)], "log_scales": [(3,)], "quats": [(4,)], "logit_opacities": [()]}
     for name, widths in {**columns, "sh": harmonics}.items():
         shapes, values = [(count, *width) for width in widths], getattr(gaussians, name)
-        if (found := getattr(values, "shape", type(values))) not in shapes:
+        if (found := getattr(values, "shape", type(values).__name__)) not in shapes:
             known = " or ".join(map(str, shapes))
             raise ValueError(f"{name} of {count} Gaussians must be {known}, got {found}")
 

@@ -52,7 +52,9 @@ def test_names_that_cannot_be_written_are_refused_before_anything_is_computed(
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("size", [{"width": 3}, {"width": 100_000, "height": 90_000}])
+@pytest.mark.parametrize(
+    "size", [{"width": 3}, {"width": 100_000, "height": 90_000}, {"width": 3200, "height": 10}]
+)
 def test_absurd_sizes_are_blamed_on_the_file(case, tmp_path, size):
     cameras = tmp_path / "cameras.json"
     items = json.loads((case / "cameras.json").read_text())
@@ -85,7 +87,7 @@ def test_wide_views_are_computed_at_the_width_of_the_trainer(case, tmp_path):
     }.items():
         out = tmp_path / f"views{len(options)}"
         answer = run("render", case / "scene.ply", "--cameras", cameras, "--out", out, *options)
-        told = "1 of 3 views are computed at a width of 1600 pixels" in answer.err
+        told = "1 of 3 cameras are scaled down to a width of 1600 pixels" in answer.err
         assert told == (not options)
         images = [iio.imread(image_path(out, item["img_name"])) for item in items]
         assert tuple(image.shape[:2] for image in images) == shapes

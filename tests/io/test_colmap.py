@@ -92,32 +92,47 @@ def test_a_line_of_points_may_be_empty_and_a_name_may_hold_spaces(tmp_path):
 
 
 @pytest.mark.parametrize("points", ["", "\n", "1.5 2 -1 3 4 17\n", "\n\n"])
-def test_lines_of_points_may_be_left_out(tmp_path, points):
+@pytest.mark.parametrize("suffix", ["", ".png", " with two spaces.png", " and one.png"])
+def test_lines_of_points_may_be_left_out(tmp_path, points, suffix):
     (tmp_path / "cameras.txt").write_text("3 SIMPLE_PINHOLE 64 40 50 32 20\n", "utf-8-sig")
-    lines = [f"{k} 1 0 0 0 1 2 3 3 {name}.png\n" for k, name in enumerate("abc")]
+    names = [f"{letter}{suffix}" for letter in "abc"]
+    lines = [f"{k} 1 0 0 0 1 2 3 3 {name}\n" for k, name in enumerate(names)]
     (tmp_path / "images.txt").write_text(points.join([*lines, ""]), "utf-8-sig")
-    assert [camera.name for camera in load_cameras(tmp_path)] == ["a.png", "b.png", "c.png"]
+    assert [camera.name for camera in load_cameras(tmp_path)] == names
 
 
 @pytest.mark.parametrize(
-    ("model", "focal"),
-    [("SIMPLE_RADIAL", "50"), ("RADIAL", "50"), ("OPENCV", "50 60"), ("FOV", ""), ("TONE", "")],
+    ("model", "focal", "coefficients"),
+    [("SIMPLE_RADIAL", "50", 1), ("RADIAL", "50", 2), ("OPENCV", "50 60", 4)],
 )
-def test_a_model_without_distortion_is_a_pinhole(tmp_path, model, focal):
+def test_a_model_without_distortion_is_a_pinhole(tmp_path, model, focal, coefficients):
     (tmp_path / "images.txt").write_text("1 1 0 0 0 1 2 3 3 a.png\n")
-    zeros = {"SIMPLE_RADIAL": 1, "RADIAL": 2, "OPENCV": 4, "FOV": 5}.get(model, 0)
-    for last in ("0", "0.1", "nan"):
-        distortion = " ".join(["0"] * (zeros - 1) + [last])
-        line = f"3 {model} 64 40 {focal} 32 20 {distortion}" if focal else f"3 {model} 64 40"
-        (tmp_path / "cameras.txt").write_text(line + " 0" * (zeros if not focal else 0))
-        if focal and last == "0":
-            (camera,) = load_cameras(tmp_path)
-            lengths = [float(length) for length in focal.split()]
-            np.testing.assert_array_equal(np.diag(camera.K), [lengths[0], lengths[-1], 1])
-            np.testing.assert_array_equal(camera.K[:2, 2], [32, 20])
-        else:
-            with pytest.raises(InputError, match=f"has a {model} camera.*undistort"):
-                load_cameras(tmp_path)
+    distortion = np.zeros(coefficients)
+
+    def cameras():
+        values = " ".join(map(str, distortion))
+        (tmp_path / "cameras.txt").write_text(f"3 {model} 64 40 {focal} 32 20 {values}\n")
+        return load_cameras(tmp_path)
+
+    (camera,) = cameras()
+    lengths = [float(length) for length in focal.split()]
+    np.testing.assert_array_equal(np.diag(camera.K), [lengths[0], lengths[-1], 1])
+    np.testing.assert_array_equal(camera.K[:2, 2], [32, 20])
+    for place in range(coefficients):
+        for value in (0.1, np.nan):
+            distortion[:] = 0
+            distortion[place] = value
+            with pytest.raises(
+                InputError, match=f"has a {model} camera with distortion.*undistort"
+            ):
+                cameras()
+
+
+def test_other_models_are_refused_also_without_distortion(tmp_path):
+    (tmp_path / "images.txt").write_text("1 1 0 0 0 1 2 3 3 a.png\n")
+    (tmp_path / "cameras.txt").write_text("3 OPENCV_FISHEYE 64 40 50 50 32 20 0 0 0 0\n")
+    with pytest.raises(InputError, match=r"has a OPENCV_FISHEYE camera, expected.*undistort"):
+        load_cameras(tmp_path)
 
 
 def test_models_beyond_the_memory_are_refused(tmp_path):

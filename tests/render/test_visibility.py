@@ -108,11 +108,15 @@ def test_scales_that_are_not_logarithms_give_a_warning():
 
 def test_positions_that_float32_rounds_give_a_warning():
     scene = random_scene(400)
-    for distance, rounded in ((1e3, False), (4e6, True)):
-        far = dataclasses.replace(scene, means=scene.means + np.float32(distance))
-        warnings = storage_warnings(far, far.means)
+    assert not storage_warnings(scene, scene.means)
+    far = dataclasses.replace(scene, means=scene.means + np.float32(1e5))  # in steps of 1/128
+    for size, rounded in ((0.034, False), (0.028, True), (0.0, False)):
+        with np.errstate(divide="ignore"):
+            sized = dataclasses.replace(far, log_scales=np.full((400, 3), np.log(np.float32(size))))
+        warnings = storage_warnings(sized, sized.means)
         assert list(warnings) == ["rounded positions"] * rounded
-        assert not rounded or "4e+06 from the origin are rounded to steps of 0.25" in str(warnings)
+        told = "positions 1e+05 from the origin are rounded to steps of 0.0078, while Gaussians"
+        assert rounded == (told in str(warnings))
 
 
 def test_no_cameras_and_no_gaussians_are_refused():

@@ -134,22 +134,22 @@ def test_zero_one_is_decided_for_the_whole_folder(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("levels", "dim"),
+    ("dtype", "levels", "dim"),
     [
-        (np.uint8([0, 2]), True),
-        (np.uint8([0, 127]), True),
-        (np.uint16([0, 255]), True),
-        (np.uint16([0, 1]), True),
-        (np.uint8([0, 1]), False),  # with a white mask beside it: sure that nothing is tampered
-        (np.uint8([0, 0]), False),
-        (np.uint8([0, 2, 5]), False),
-        (np.uint8([100, 100]), False),
-        (np.uint8([0, 128]), False),
+        (np.uint8, [0, 2], True),
+        (np.uint8, [0, 127], True),
+        (np.uint16, [0, 255], True),
+        (np.uint16, [0, 1], True),
+        (np.uint8, [0, 1], False),  # with a white mask beside it: sure that nothing is tampered
+        (np.uint8, [0, 0], False),
+        (np.uint8, [0, 2, 5], False),
+        (np.uint8, [100, 100], False),
+        (np.uint8, [0, 128], False),
     ],
 )
-def test_masks_whose_white_is_a_dark_grey_are_named(tmp_path, levels, dim):
-    iio.imwrite(tmp_path / "a.png", np.resize(levels, (4, 6)))
-    iio.imwrite(tmp_path / "b.png", np.resize(np.uint8([0, 255]), (4, 6)))
+def test_masks_whose_white_is_a_dark_grey_are_named(tmp_path, dtype, levels, dim):
+    iio.imwrite(tmp_path / "a.png", np.resize(np.array(levels, dtype), (4, 6)))
+    iio.imwrite(tmp_path / "b.png", np.resize(np.array([0, 255], np.uint8), (4, 6)))
     detector = FolderDetector(tmp_path)
     for name in "abaa":
         detector(None, view(name))

@@ -108,12 +108,12 @@ def test_scales_that_are_not_logarithms_give_a_warning():
 
 def test_positions_that_float32_rounds_give_a_warning():
     scene = random_scene(400)
-    assert not storage_warnings(scene, scene.means)
+    assert not storage_warnings(scene, np.asarray(scene.means))
     far = dataclasses.replace(scene, means=scene.means + np.float32(1e5))  # in steps of 1/128
     for size, rounded in ((0.034, False), (0.028, True), (0.0, False)):
         with np.errstate(divide="ignore"):
             sized = dataclasses.replace(far, log_scales=np.full((400, 3), np.log(np.float32(size))))
-        warnings = storage_warnings(sized, sized.means)
+        warnings = storage_warnings(sized, np.asarray(sized.means))
         assert list(warnings) == ["rounded positions"] * rounded
         told = "positions 1e+05 from the origin are rounded to steps of 0.0078, while Gaussians"
         assert rounded == (told in str(warnings))

@@ -34,7 +34,7 @@ def pytest_configure(config):
     os.environ["XDG_CACHE_HOME"] = str(config.rootpath / ".pytest_cache" / "user")
     os.environ["JAX_COMPILATION_CACHE_DIR"] = str(cache.cache_folder())
     os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
-    # By default the workers of Ray yield to all other processes, which includes the other tests.
+    # By default, the workers of Ray have a low priority, and would wait for the other tests.
     os.environ["RAY_worker_niceness"] = "0"  # noqa: SIM112 - the name that Ray reads
     cache.MIN_SECONDS = 0
     cache.enable_compilation_cache(cache.cache_folder())

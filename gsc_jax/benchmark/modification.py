@@ -73,7 +73,7 @@ def _match_axes(
     rotations: np.ndarray, axes: np.ndarray, scales: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Order and orient axes (N, 3, 3) like the columns of rotations, and their scales likewise."""
-    # The decomposition has sorted them by size, which would reveal every warped Gaussian.
+    # The singular value decomposition sorts axes by size, which would reveal warped Gaussians.
     match = np.einsum("nij,nik->njk", rotations, axes)
     orders = np.array(list(itertools.permutations(range(3))))
     agreement = np.abs(match[:, np.arange(3), orders]).sum(axis=-1)

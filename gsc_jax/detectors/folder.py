@@ -99,7 +99,7 @@ class FolderDetector:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Assumptions about levels, and masks without white among the images read so far."""
+        """How grey levels were understood, and which of the masks read so far have no white."""
         found = ["no level above 1 in any image, read as 0/1 masks"] * self.zero_one
         if self._dim:
             names = ", ".join(map(repr, sorted(self._dim)[:5]))

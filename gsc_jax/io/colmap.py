@@ -23,7 +23,7 @@ MODELS |= {"OPENCV_FISHEYE": 8, "FULL_OPENCV": 12, "FOV": 5, "SIMPLE_RADIAL_FISH
 MODELS |= {"RADIAL_FISHEYE": 5, "THIN_PRISM_FISHEYE": 12}
 """Number of parameters of the camera models, in the order of their numbers in binary files."""
 FOCAL_LENGTHS = {"SIMPLE_PINHOLE": 1, "PINHOLE": 2, "SIMPLE_RADIAL": 1, "RADIAL": 1, "OPENCV": 2}
-"""Number of focal lengths of the models that are a pinhole if their distortion is zero."""
+"""Focal lengths of each camera model that is a pinhole where its distortion is 0: one or two."""
 BYTES_PER_BYTE = {True: 2, False: 8}
 """Memory per byte of a binary file, and of a text: lines, and the images of the shortest lines."""
 _Intrinsics = tuple[str, tuple[int, int], tuple[float, ...]]

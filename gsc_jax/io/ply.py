@@ -221,7 +221,7 @@ def _checked_header(path: Path, max_bytes: int | None) -> bytes:
 
 
 def _read(path: Path, header: bytes) -> PlyData:
-    """Read a PLY; plyfile needs a copy with escapes for what is not ASCII in the header."""
+    """Read a PLY file; if its header is not ASCII, plyfile gets a copy with escapes in it."""
     if header.isascii():
         return PlyData.read(path)
     text = header.decode("utf-8", "backslashreplace")

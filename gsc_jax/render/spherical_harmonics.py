@@ -69,7 +69,7 @@ def colors(sh: jax.Array, means: jax.Array, center: jax.Array) -> jax.Array:
 @jax.custom_vjp
 def _expansion(harmonics: jax.Array, sh: jax.Array) -> jax.Array:
     """Sum Y_k h_k over k, (N, 3), term by term: XLA then stores neither the basis nor a copy."""
-    # A fifth of the time and a twentieth of the memory of `_contraction`, except backwards.
+    # It takes a fifth of the time and a twentieth of the memory of `_contraction`, not backwards.
     terms = (harmonics[:, k, None] * _finite(sh[:, k]) for k in range(sh.shape[1]))
     return functools.reduce(jnp.add, terms)
 

@@ -100,7 +100,7 @@ def _better_convention(points: np.ndarray, cameras: Sequence[Camera]) -> str:
 
 
 def storage_warnings(gaussians: Gaussians, points: np.ndarray) -> dict[str, str]:
-    """Warnings, by name, about scales that were stored linearly and positions that are rounded."""
+    """Warn of scales that were stored without logarithm, and of positions that float32 rounds."""
     found, log_scales = {}, np.asarray(gaussians.log_scales)
     extent = np.ptp(np.percentile(points, [10, 90], axis=0), axis=0).max()
     size = np.exp(np.median(log_scales))

@@ -45,6 +45,12 @@ def pytest_configure(config):
     hypothesis.settings.load_profile("gsc_jax")
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Files with slow tests first, so that none of them is left for one worker at the end."""
+    slow = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: item.path not in slow)
+
+
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int:
     """One worker per core: at most four, or at most two on a machine with less than 32 GiB."""

@@ -93,6 +93,7 @@ def classified(log_odds, probability: float = 0.9, peak: float = PEAK) -> Classi
         log_odds=log_odds,
         middle=min(float(np.median(log_odds)), BASE),
         peak=peak,
+        top=peak,
         scene_probability=probability,
     )
 

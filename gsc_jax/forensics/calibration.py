@@ -16,14 +16,13 @@ from gsc_jax.forensics.traces import Trace, any_trace
 
 MAX_LOG_ODDS = 12.0
 """Clip log odds to this magnitude: probabilities within 1e-5 of 0 or 1 are not calibrated."""
-LEVEL = 0.45
-"""Level of labelling, from the middle of a scene (0) to its peak (1), chosen by F1 on cases of
-experiments/bank.py by classifiers that never saw their hosts."""
+LEVEL = 0.5
+"""Level of labelling, from the middle of a scene (0) to its top (1)."""
 MIN_TRACED_SHARE = 0.1
 """Share of the Gaussians above the level that traces must mark to count as identifying the edit."""
 LEVEL_BESIDE_TRACES = 2.0
 """Log odds from which Gaussians without a trace are labelled in a file in which traces of editing
-were found, chosen like `LEVEL`."""
+were found, chosen by F1 on cases of experiments/bank.py."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -32,13 +31,15 @@ class Classification:
 
     The log odds (N,) float32 that a Gaussian is tampered are the base rate where no features are
     `known`, (N,) bool. Before the edge was moved (`edge.py`), `middle` is the median of the others,
-    at most the base rate, and `peak` the highest mean around a place.
+    at most the base rate, `peak` the highest mean around a place, and `top` the mean of all that
+    are nearer to the peak than to the middle: a peak alone may be a small part of an edit.
     """
 
     known: np.ndarray
     log_odds: np.ndarray
     middle: float
     peak: float
+    top: float
     scene_probability: float
 
     @property
@@ -49,7 +50,7 @@ class Classification:
     @property
     def level(self) -> float:
         """Log odds above which Gaussians stand out from the scene."""
-        return self.middle + LEVEL * self.span
+        return self.middle + LEVEL * max(self.top - self.middle, 0.0)
 
 
 def calibrate(raw: np.ndarray, places: Places, classifier: Classifier) -> Classification:
@@ -62,13 +63,15 @@ def calibrate(raw: np.ndarray, places: Places, classifier: Classifier) -> Classi
     lowered = factor * raw + shift
     lowered -= max(float(np.median(lowered)) - classifier.base, 0.0)
     log_odds = np.clip(lowered, -MAX_LOG_ODDS, MAX_LOG_ODDS).astype(np.float32)
-    middle, peak = float(np.median(log_odds)), places.peak(log_odds)
+    around = places.around.mean(places.averaged(log_odds))
+    middle, peak = float(np.median(log_odds)), float(around.max())
     factor, shift = classifier.scene
     return Classification(
         known=np.ones(len(raw), bool),
         log_odds=log_odds,
         middle=middle,
         peak=peak,
+        top=float(around[around >= min((middle + peak) / 2, peak)].mean()),
         scene_probability=float(expit(factor * (peak - middle) + shift)),
     )
 
@@ -80,6 +83,7 @@ def nothing_known(classifier: Classifier) -> Classification:
         log_odds=np.zeros(0, np.float32),
         middle=classifier.base,
         peak=classifier.base,
+        top=classifier.base,
         scene_probability=float(expit(classifier.scene[1])),
     )
 

@@ -35,10 +35,6 @@ class Places:
         """Means over the Gaussians of each place, (N, ...) to (P, ...)."""
         return _averaged(values, self.rows, self.starts)
 
-    def peak(self, values: np.ndarray) -> float:
-        """Highest mean around a place of values of the Gaussians (N,)."""
-        return float(self.around.mean(self.averaged(values)).max())
-
     def spread_out(self, values: np.ndarray) -> np.ndarray:
         """Values of the places (P,) for their Gaussians, shape (N,) float32."""
         result = np.empty(len(self.rows), np.float32)

@@ -83,6 +83,7 @@ def test_log_odds_are_bounded_and_move_with_their_factor_and_shift(edited, seed,
         log_odds=(factor * before.log_odds + shift).astype(np.float32),
         middle=factor * before.middle + shift,
         peak=factor * before.peak + shift,
+        top=factor * before.top + shift,
     )
     after, moved = sharpened(before, *edited), sharpened(other, *edited)
     assert np.abs(moved.log_odds).max() <= MAX_LOG_ODDS

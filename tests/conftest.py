@@ -12,7 +12,7 @@ import pytest
 
 from gsc_jax.cli import cache
 from gsc_jax.io.files import memory_limit
-from gsc_jax.scene.parallel import compute_in_calling_thread, usable_cores
+from gsc_jax.scene.parallel import usable_cores
 
 if TYPE_CHECKING:
     from browser import Browser
@@ -36,10 +36,6 @@ def pytest_configure(config):
     os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
     # By default, the workers of Ray have a low priority, and would wait for the other tests.
     os.environ["RAY_worker_niceness"] = "0"  # noqa: SIM112 - the name that Ray reads
-    # Threads of XLA and BLAS in every worker would wait for each other.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    if hasattr(config, "workerinput"):
-        compute_in_calling_thread()
     cache.MIN_SECONDS = 0
     cache.enable_compilation_cache(cache.cache_folder())
     jax.monitoring.register_event_duration_secs_listener(_count)

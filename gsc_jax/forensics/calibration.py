@@ -17,7 +17,7 @@ from gsc_jax.forensics.traces import Trace, any_trace
 MAX_LOG_ODDS = 12.0
 """Clip log odds to this magnitude: probabilities within 1e-5 of 0 or 1 are not calibrated."""
 LEVEL = 0.5
-"""Level of labelling, from the middle of a scene (0) to its top (1)."""
+"""Level of labelling, from the middle of a scene (0) to its top (1): docs/results-attributes.md."""
 MIN_TRACED_SHARE = 0.1
 """Share of the Gaussians above the level that traces must mark to count as identifying the edit."""
 LEVEL_BESIDE_TRACES = 2.0
@@ -31,8 +31,8 @@ class Classification:
 
     The log odds (N,) float32 that a Gaussian is tampered are the base rate where no features are
     `known`, (N,) bool. Before the edge was moved (`edge.py`), `middle` is the median of the others,
-    at most the base rate, `peak` the highest mean around a place, and `top` the mean of all that
-    are nearer to the peak than to the middle: a peak alone may be a small part of an edit.
+    at most the base rate, `peak` the highest mean around a place, and `top` the mean of all such
+    means that are nearer to it than to the middle: a peak alone may be a small part of an edit.
     """
 
     known: np.ndarray

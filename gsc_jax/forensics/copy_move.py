@@ -40,9 +40,8 @@ def copy_move(
 ) -> Trace:
     """Detect regions whose Gaussians occur again elsewhere, moved in the same way.
 
-    Nearly all Gaussians of a filled hole have duplicates, but only a part of their source; of an
-    object that was copied as a whole, both copies are marked. `duplicates` are
-    those of `nearest_duplicates`, (N,), where they are known.
+    Nearly all Gaussians of a filled hole have duplicates, but only a part of their source; of whole
+    objects, both copies are marked. `duplicates` (N,) are those of `nearest_duplicates`, if known.
     """
     moves = np.zeros(len(gaussians))
     if neighbours.size:
@@ -53,8 +52,10 @@ def copy_move(
         moves[is_untrained(gaussians)] = 0
     scores = functools.partial(region_scores, min_share=0.6, min_outside=0.6)
     score = scores(moves > 0, neighbours)
-    moves[_coincidences(score > 0.5, moves > MAX_SPREAD, neighbours)] = 0
-    score = scores(moves > 0, neighbours)
+    while moves[chance := _coincidences(score > 0.5, moves > MAX_SPREAD, neighbours)].any():
+        moves[chance] = 0
+        score = scores(moves > 0, neighbours)
+    score[chance] = 0
     found = "occur again elsewhere; where two whole parts are alike, either may be the copy"
     return make_trace("copy-move", score, found, "No part of the scene occurs in it again.")
 

@@ -51,14 +51,18 @@ def test_level_without_a_peak_is_the_base_rate():
 
 
 def test_a_small_part_of_an_edit_that_stands_out_most_does_not_hide_the_rest():
-    distance = np.linalg.norm(np.asarray(ROOM.means) - np.asarray(ROOM.means)[0], axis=1)
-    most, edit = (distance <= np.quantile(distance, share) for share in (0.02, 0.1))
-    noise = np.random.default_rng(0).normal(0, 0.5, len(ROOM))
+    scene = room(12_000)
+    places = find_places(compute_features(scene), np.asarray(scene.means))
+    distance = np.linalg.norm(np.asarray(scene.means) - np.asarray(scene.means)[0], axis=1)
+    most, edit = (distance <= np.quantile(distance, share) for share in (0.02, 0.2))
+    noise = np.random.default_rng(0).normal(0, np.where(edit, 2.0, 0.5))
     raw = (noise + np.select([most, edit], [14, 8])).astype(np.float32)
-    output = calibrate(raw, PLACES, default_classifier())
+    output = calibrate(raw, places, default_classifier())
     labels = output.log_odds > label_level(output)
-    assert output.middle < output.level < (output.middle + output.peak) / 2
     assert labels[edit].mean() > 0.95 > 0.05 > labels[~edit].mean()
+    halfway_to_the_peak = output.log_odds > output.middle + output.span / 2
+    assert halfway_to_the_peak[edit].mean() < 0.85
+    assert 0.25 <= (output.level - output.middle) / output.span < 0.4
 
 
 @given(st.integers(0, 99), st.integers(50, 5_000), st.floats(-5, 0), st.floats(0.2, 5))

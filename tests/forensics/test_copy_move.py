@@ -1,13 +1,18 @@
 """Copy-move: copies are found after a similarity and with noise; coincidences are not."""
 
 import dataclasses
+import sys
 
 import numpy as np
+import pytest
 from forensics_cases import assert_matches, central_rows, detected, room, with_copy
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from gsc_jax.benchmark.incorporation import transformed
 from gsc_jax.forensics.copy_move import copy_move
+from gsc_jax.forensics.traces import MIN_REGION, NEIGHBOURS
 from gsc_jax.scene import Gaussians
 from gsc_jax.scene.gaussians import concatenate
 
@@ -73,6 +78,22 @@ def test_small_parts_are_coincidences():
     for part in parts:
         edited = with_copy(edited, part)
     assert not detected(copy_move, edited).found
+
+
+@pytest.mark.parametrize(("share", "density"), [(0.1, 0.6), (0.1, 0.65), (0.2, 0.65)])
+def test_no_fragments_are_left_of_parts_that_are_coincidences(monkeypatch, share, density):
+    scene, rng = room(), np.random.default_rng(0)
+    means = np.asarray(scene.means)
+    far = np.linalg.norm(means - means[np.random.default_rng(9).integers(len(means))], axis=1)
+    moved = (rng.random(len(scene)) < density) & (far <= np.quantile(far, share))
+    moves = np.where(moved, rng.uniform(0.6, 3.7, len(scene)), 0)
+    monkeypatch.setattr(sys.modules[copy_move.__module__], "moved_together", lambda *_: moves)
+    near = KDTree(means).query(means, k=NEIGHBOURS + 1)[1][:, 1:]
+    marked = copy_move(scene, near).score > 0.5
+    ends = np.arange(len(near) + 1) * NEIGHBOURS
+    graph = csr_array((np.ones(near.size), near.ravel(), ends), shape=(len(near), len(near)))
+    parts = connected_components(graph[marked][:, marked], directed=False)[1]
+    assert np.bincount(parts).min() >= MIN_REGION
 
 
 def far_part() -> Gaussians:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import sys
+from typing import Any
 
 import numpy as np
 import pytest
@@ -91,7 +92,7 @@ def test_no_fragments_are_left_of_parts_that_are_coincidences(monkeypatch, share
     near = KDTree(means).query(means, k=NEIGHBOURS + 1)[1][:, 1:]
     marked = copy_move(scene, near).score > 0.5
     ends = np.arange(len(near) + 1) * NEIGHBOURS
-    graph = csr_array((np.ones(near.size), near.ravel(), ends), shape=(len(near), len(near)))
+    graph: Any = csr_array((np.ones(near.size), near.ravel(), ends), shape=(len(near), len(near)))
     parts = connected_components(graph[marked][:, marked], directed=False)[1]
     assert np.bincount(parts).min() >= MIN_REGION
 

@@ -2,7 +2,6 @@
 
 import dataclasses
 import sys
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +15,7 @@ from gsc_jax.forensics.copy_move import copy_move
 from gsc_jax.forensics.traces import MIN_REGION, NEIGHBOURS
 from gsc_jax.scene import Gaussians
 from gsc_jax.scene.gaussians import concatenate
+from gsc_jax.scene.neighbours import nearest_neighbours
 
 PART = central_rows(room())
 
@@ -89,10 +89,10 @@ def test_no_fragments_are_left_of_parts_that_are_coincidences(monkeypatch, share
     moved = (rng.random(len(scene)) < density) & (far <= np.quantile(far, share))
     moves = np.where(moved, rng.uniform(0.6, 3.7, len(scene)), 0)
     monkeypatch.setattr(sys.modules[copy_move.__module__], "moved_together", lambda *_: moves)
-    near = KDTree(means).query(means, k=NEIGHBOURS + 1)[1][:, 1:]
+    near = nearest_neighbours(means, np.arange(len(means)), NEIGHBOURS)
     marked = copy_move(scene, near).score > 0.5
     ends = np.arange(len(near) + 1) * NEIGHBOURS
-    graph: Any = csr_array((np.ones(near.size), near.ravel(), ends), shape=(len(near), len(near)))
+    graph = csr_array((np.ones(near.size), near.ravel(), ends), shape=(len(near), len(near)))
     parts = connected_components(graph[marked][:, marked], directed=False)[1]
     assert np.bincount(parts).min() >= MIN_REGION
 

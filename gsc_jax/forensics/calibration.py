@@ -17,12 +17,12 @@ from gsc_jax.forensics.traces import Trace, any_trace
 MAX_LOG_ODDS = 12.0
 """Clip log odds to this magnitude: probabilities within 1e-5 of 0 or 1 are not calibrated."""
 LEVEL = 0.5
-"""Level of labelling, from the middle of a scene (0) to its top (1): docs/results-attributes.md."""
+"""Share of the way from `middle` to `top` of a scene above which Gaussians are labelled."""
 MIN_TRACED_SHARE = 0.1
 """Share of the Gaussians above the level that traces must mark to count as identifying the edit."""
 LEVEL_BESIDE_TRACES = 2.0
 """Log odds from which Gaussians without a trace are labelled in a file in which traces of editing
-were found, chosen by F1 on cases of experiments/bank.py."""
+were found: the value with the highest F1 on the edited scenes of experiments/bank.py."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -19,7 +19,7 @@ SAMPLE = 2**17
 STEPS = 4
 """Steps to neighbouring places that are around those above the level."""
 WEIGHT, MAX_SCORE = 0.15, 3.0
-"""Weight of the discriminant, in spans, chosen by F1 on experiments/bank.py; bound of scores."""
+"""Weight of the scores of the discriminant, in units of `span`, and the bound of these scores."""
 BEYOND = 0.3
 """Spans by which Gaussians farther away are lowered. Without this, most of those around the edge
 would rank behind them."""
@@ -29,7 +29,7 @@ def sharpened(scene: Classification, features: Features, places: Places) -> Clas
     """The classification of N Gaussians with log odds that change where their attributes do.
 
     They stay as well calibrated: a log loss of 0.117, before 0.120, in 220 cases (by hand, with an
-    earlier level). A few Gaussians far from places that are mostly above the level are lowered.
+    earlier level). All Gaussians far from places that are mostly above the level are lowered.
     """
     above = scene.log_odds > scene.level
     near = places.averaged(above.astype(np.float32)) > 0.5

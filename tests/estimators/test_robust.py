@@ -112,7 +112,7 @@ def test_the_defaults_are_those_of_the_tables():
     assert dataclasses.asdict(RobustEstimator()) == {
         "name": "robust",
         "classes": (4, 8),
-        "restarts": 4,
+        "restarts": 8,
         "sample": 8192,
         "half_weight": 8.0,
         "effective_pixels": 8.0,

@@ -74,7 +74,7 @@ class RobustEstimator(Estimator):
 
     name: str = "robust"
     classes: tuple[int, ...] = (4, 8)
-    restarts: int = 4
+    restarts: int = 8
     sample: int = 8192
     half_weight: float = 8.0
     effective_pixels: float = 8.0

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gsc_jax.estimators.robust.class_roles import Roles, assign_roles
-from gsc_jax.estimators.robust.estimator import pattern_errors
+from gsc_jax.estimators.robust.estimator import false_alarm_rates, pattern_errors
 from gsc_jax.estimators.robust.gaussian_visibility import stratified_sample, visibility
 from gsc_jax.evidence.lifting import Evidence
 
@@ -33,7 +33,8 @@ def test_pattern_errors_count_views_that_contradict_a_pattern():
     roles = assign_roles(np.array([[0.1, 0.1], [0.9, 0.9]]), np.array([[9.0, 9.0], [1.0, 1.0]]))
     assert roles is not None
     # A flag contradicts the authentic class, the lack of one contradicts the tampered class.
-    [(false_alarms, misses)], [rates] = pattern_errors(evidence, [roles], 8.0)
+    false_alarms, misses = pattern_errors(looked, flagged, roles)
+    [rates] = false_alarm_rates(evidence, [roles], 8.0)
     assert false_alarms.T.tolist() == [[0.5, 0.0], [0.125, 0.0]]
     assert misses.T.tolist() == [[0.0, 0.5], [0.0, 0.375]]
     assert rates.tolist() == [0.625, 0.0], "the first one is as near to either class"
@@ -50,13 +51,14 @@ def test_pattern_errors_of_a_mixed_pattern_with_an_inverted_view():
         rates=np.zeros(2),
         seen=np.ones(2),
     )
-    [(false_alarms, misses)], [rates] = pattern_errors(evidence, [roles], 8.0)
+    false_alarms, misses = pattern_errors(*visibility(evidence, slice(None), 8.0), roles)
+    [rates] = false_alarm_rates(evidence, [roles], 8.0)
     assert false_alarms.T.tolist() == [[0.25, 0.125]]
     assert misses.T.tolist() == [[0.0, 0.375]]
     assert rates.tolist() == [0.25, 0.25]
 
 
-def test_pattern_errors_of_several_fits_are_those_of_each():
+def test_false_alarm_rates_of_several_fits_are_those_of_each():
     """Fits of other numbers of classes and other inverted views, over several blocks."""
     rng = np.random.default_rng(0)
     total = rng.exponential(8, (6, 70_000)).astype(np.float32)
@@ -71,13 +73,16 @@ def test_pattern_errors_of_several_fits_are_those_of_each():
         )
         for classes in (2, 4, 3)
     ]
-    together, rates = pattern_errors(evidence, fits, 8.0)
+    rates = false_alarm_rates(evidence, fits, 8.0)
     seen, flagged = visibility(evidence, slice(None), 8.0)
-    for roles, errors, of_fit in zip(fits, together, rates, strict=True):
+    for roles, of_fit in zip(fits, rates, strict=True):
         turned = np.where(roles.inverted[:, None], seen - flagged, flagged)
-        false_alarms = (~roles.patterns).astype(np.float32) @ turned
-        misses = roles.patterns.astype(np.float32) @ (seen - turned)
-        np.testing.assert_allclose(errors, [false_alarms, misses], rtol=1e-5, atol=1e-5)
-        authentic = ~roles.tampered[errors.sum(axis=0).argmin(axis=0)]
+        errors = np.array([patterns_differ(turned, seen, one) for one in roles.patterns])
+        authentic = ~roles.tampered[errors.argmin(axis=0)]
         share = turned[:, authentic].sum(axis=1) / seen[:, authentic].sum(axis=1)
         np.testing.assert_allclose(of_fit, share, rtol=1e-4)
+
+
+def patterns_differ(turned: np.ndarray, seen: np.ndarray, pattern: np.ndarray) -> np.ndarray:
+    """Visibility of each Gaussian, (N,), summed over the views that contradict a pattern (V,)."""
+    return np.where(pattern[:, None], seen - turned, turned).sum(axis=0)

@@ -172,8 +172,7 @@ class RobustEstimator(Estimator):
             nothing = np.zeros(len(seen), np.float32)
             return MaskEstimate(probability=nothing, seen=seen, region=nothing.astype(np.int8))
         # The criteria of several fits are nearly equal: rounding would choose the best one.
-        errors = zip(fits, *pattern_errors(evidence, fits, self.half_weight), strict=True)
-        by_fit, nearest = zip(*(self._log_odds(*fit) for fit in errors), strict=True)
+        by_fit, nearest = self._log_odds(evidence, fits)
         median = np.median(by_fit, axis=0)
         agreeing = np.argmin(np.sum(((np.array(by_fit) > 0) != (median > 0))[:, seen], axis=1))
         median = smooth(median, means, seen, strength=self.smoothing, neighbours=self.neighbours)
@@ -206,16 +205,29 @@ class RobustEstimator(Estimator):
         fits = [roles for roles in fits if roles is not None]  # those of one class have no edit
         return fits[: len(fits) // 2 | 1]
 
-    def _log_odds(self, roles: Roles, errors: np.ndarray, rates: np.ndarray) -> list[np.ndarray]:
-        """Log odds of tampering by one fit, (N,); its nearest tampered and other class, (2, N)."""
+    def _log_odds(
+        self, evidence: EvidenceOfViews, fits: Sequence[Roles]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Log odds of tampering by F fits, (F, N); the nearest tampered and other class, (F, 2, N).
+
+        The evidence is read twice, block by block: the errors of all fits would take gigabytes.
+        """
         # Not the mean, which a large authentic region that only some views flag would raise.
-        of_flag = np.float32(flag_weight(self.class_log_odds, np.median(rates)))
-        costs = of_flag * errors[0] + np.float32(self.class_log_odds) * errors[1]
-        # The best class of each kind: probabilities of similar distractors must not add up.
-        kinds = [np.flatnonzero(kind) for kind in (roles.tampered, ~roles.tampered)]
-        nearest = np.stack([kind[costs[kind].argmin(axis=0)] for kind in kinds])
-        tampered, other = np.take_along_axis(costs, nearest, axis=0)
-        return [other - tampered, nearest.astype(np.int8)]
+        rates = np.median(false_alarm_rates(evidence, fits, self.half_weight), axis=1)
+        log_odds = np.empty((len(fits), evidence.shape[1]), np.float32)
+        nearest = np.empty((len(fits), 2, evidence.shape[1]), np.int8)
+        for block in blocks(evidence.shape[1], gaussian_visibility.BLOCK):
+            seen, flagged = gaussian_visibility.visibility(evidence, block, self.half_weight)
+            for i, roles in enumerate(fits):
+                errors = pattern_errors(seen, flagged, roles)
+                of_flag = np.float32(flag_weight(self.class_log_odds, rates[i]))
+                costs = of_flag * errors[0] + np.float32(self.class_log_odds) * errors[1]
+                # The best class of each kind: probabilities of similar distractors must not add up.
+                kinds = [np.flatnonzero(kind) for kind in (roles.tampered, ~roles.tampered)]
+                best = np.stack([kind[costs[kind].argmin(axis=0)] for kind in kinds])
+                nearest[i, :, block], costs = best, np.take_along_axis(costs, best, axis=0)
+                log_odds[i, block] = costs[1] - costs[0]
+        return log_odds, nearest
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -235,31 +247,33 @@ class MaskEstimate:
     roles: Roles | None = None
 
 
-def pattern_errors(
-    evidence: EvidenceOfViews, fits: Sequence[Roles], half_weight: float
-) -> tuple[list[np.ndarray], np.ndarray]:
-    """Number of views whose masks are wrong about a Gaussian if it belongs to a class of a fit.
+def pattern_errors(seen: np.ndarray, flagged: np.ndarray, roles: Roles) -> np.ndarray:
+    """Number of views whose masks are wrong about a Gaussian if it belongs to a class, (2, C, M).
 
     First the views that flag it and should not, then those that should and do not, weighted by
-    visibility (one half at `half_weight` pixels), (2, C, N) float32 for each of F fits. Also the
-    share that each view flags of the Gaussians nearest to an authentic class of a fit, (F, V).
+    `visibility` (V, M).
     """
-    ends = np.cumsum([len(roles.patterns) for roles in fits])[:-1]
-    patterns = np.concatenate([roles.patterns for roles in fits])
-    expected = np.concatenate([roles.patterns ^ roles.inverted for roles in fits])  # as masks are
-    inverted = np.stack([roles.inverted for roles in fits])
-    kinds = np.stack([~patterns, patterns])
-    if_flagged, if_clear = ((kinds & wrong).astype(np.float32) for wrong in (~expected, expected))
-    errors = np.empty((2, len(patterns), evidence.shape[1]), np.float32)
-    sums = np.zeros((2, *inverted.shape))
+    turned = np.where(roles.inverted[:, None], seen - flagged, flagged)
+    patterns = roles.patterns.astype(np.float32)
+    return np.stack([(1 - patterns) @ turned, patterns @ (seen - turned)])
+
+
+def false_alarm_rates(
+    evidence: EvidenceOfViews, fits: Sequence[Roles], half_weight: float
+) -> np.ndarray:
+    """Share that each view flags of the Gaussians nearest to an authentic class of a fit, (F, V).
+
+    Views that a fit calls inverted are turned; `half_weight` is that of `visibility`.
+    """
+    sums = np.zeros((2, len(fits), evidence.shape[0]))
     for block in blocks(evidence.shape[1], gaussian_visibility.BLOCK):
         seen, flagged = gaussian_visibility.visibility(evidence, block, half_weight)
-        errors[..., block] = if_flagged @ flagged + if_clear @ (seen - flagged)
-        by_fit = zip(fits, np.split(errors[..., block].sum(axis=0), ends), strict=True)
-        authentic = np.stack([~roles.tampered[x.argmin(axis=0)] for roles, x in by_fit])
-        sums += [authentic.astype(np.float32) @ part.T for part in (flagged, seen)]
-    false_alarms = np.where(inverted, sums[1] - sums[0], sums[0])
-    return np.split(errors, ends, axis=1), false_alarms / np.maximum(sums[1], 1e-30)
+        for i, roles in enumerate(fits):
+            nearest = pattern_errors(seen, flagged, roles).sum(axis=0).argmin(axis=0)
+            authentic = (~roles.tampered[nearest]).astype(np.float32)
+            sums[:, i] += flagged @ authentic, seen @ authentic
+    inverted = np.stack([roles.inverted for roles in fits])
+    return np.where(inverted, sums[1] - sums[0], sums[0]) / np.maximum(sums[1], 1e-30)
 
 
 def flag_weight(log_odds: float, rate: float) -> float:

@@ -172,7 +172,7 @@ class RobustEstimator(Estimator):
             nothing = np.zeros(len(seen), np.float32)
             return MaskEstimate(probability=nothing, seen=seen, region=nothing.astype(np.int8))
         # The criteria of several fits are nearly equal: rounding would choose the best one.
-        by_fit, nearest = self._log_odds(evidence, fits)
+        by_fit, nearest = self._log_odds(evidence, fits, *sample)
         median = np.median(by_fit, axis=0)
         agreeing = np.argmin(np.sum(((np.array(by_fit) > 0) != (median > 0))[:, seen], axis=1))
         median = smooth(median, means, seen, strength=self.smoothing, neighbours=self.neighbours)
@@ -206,22 +206,26 @@ class RobustEstimator(Estimator):
         return fits[: len(fits) // 2 | 1]
 
     def _log_odds(
-        self, evidence: EvidenceOfViews, fits: Sequence[Roles]
+        self,
+        evidence: EvidenceOfViews,
+        fits: Sequence[Roles],
+        sample: np.ndarray,
+        represents: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Log odds of tampering by F fits, (F, N); the nearest tampered and other class, (F, 2, N).
 
-        The evidence is read twice, block by block: the errors of all fits would take gigabytes.
+        Block by block, since the errors of all fits and Gaussians would take gigabytes.
         """
-        # Not the mean, which a large authentic region that only some views flag would raise.
-        rates = np.median(false_alarm_rates(evidence, fits, self.half_weight), axis=1)
+        seen, flagged = gaussian_visibility.visibility(evidence, sample, self.half_weight)
+        rates = [false_alarm_rate(seen, flagged, represents, roles) for roles in fits]
+        of_flag = np.float32([flag_weight(self.class_log_odds, rate) for rate in rates])
         log_odds = np.empty((len(fits), evidence.shape[1]), np.float32)
         nearest = np.empty((len(fits), 2, evidence.shape[1]), np.int8)
         for block in blocks(evidence.shape[1], gaussian_visibility.BLOCK):
             seen, flagged = gaussian_visibility.visibility(evidence, block, self.half_weight)
             for i, roles in enumerate(fits):
                 errors = pattern_errors(seen, flagged, roles)
-                of_flag = np.float32(flag_weight(self.class_log_odds, rates[i]))
-                costs = of_flag * errors[0] + np.float32(self.class_log_odds) * errors[1]
+                costs = of_flag[i] * errors[0] + np.float32(self.class_log_odds) * errors[1]
                 # The best class of each kind: probabilities of similar distractors must not add up.
                 kinds = [np.flatnonzero(kind) for kind in (roles.tampered, ~roles.tampered)]
                 best = np.stack([kind[costs[kind].argmin(axis=0)] for kind in kinds])
@@ -258,22 +262,19 @@ def pattern_errors(seen: np.ndarray, flagged: np.ndarray, roles: Roles) -> np.nd
     return np.stack([(1 - patterns) @ turned, patterns @ (seen - turned)])
 
 
-def false_alarm_rates(
-    evidence: EvidenceOfViews, fits: Sequence[Roles], half_weight: float
-) -> np.ndarray:
-    """Share that each view flags of the Gaussians nearest to an authentic class of a fit, (F, V).
+def false_alarm_rate(
+    seen: np.ndarray, flagged: np.ndarray, represents: np.ndarray, roles: Roles
+) -> float:
+    """Share flagged of what is nearest to an authentic class, in the median of the views.
 
-    Views that a fit calls inverted are turned; `half_weight` is that of `visibility`.
+    Not the mean, which a large authentic region that only some views flag would raise. Of sampled
+    Gaussians, given `visibility` (V, S), and how many each `represents` (S,).
     """
-    sums = np.zeros((2, len(fits), evidence.shape[0]))
-    for block in blocks(evidence.shape[1], gaussian_visibility.BLOCK):
-        seen, flagged = gaussian_visibility.visibility(evidence, block, half_weight)
-        for i, roles in enumerate(fits):
-            nearest = pattern_errors(seen, flagged, roles).sum(axis=0).argmin(axis=0)
-            authentic = (~roles.tampered[nearest]).astype(np.float32)
-            sums[:, i] += flagged @ authentic, seen @ authentic
-    inverted = np.stack([roles.inverted for roles in fits])
-    return np.where(inverted, sums[1] - sums[0], sums[0]) / np.maximum(sums[1], 1e-30)
+    nearest = pattern_errors(seen, flagged, roles).sum(axis=0).argmin(axis=0)
+    authentic = represents * ~roles.tampered[nearest]
+    shown, false = seen @ authentic, flagged @ authentic
+    false = np.where(roles.inverted, shown - false, false)
+    return float(np.median(false / np.maximum(shown, 1e-30)))
 
 
 def flag_weight(log_odds: float, rate: float) -> float:

@@ -172,7 +172,7 @@ class RobustEstimator(Estimator):
             nothing = np.zeros(len(seen), np.float32)
             return MaskEstimate(probability=nothing, seen=seen, region=nothing.astype(np.int8))
         # The criteria of several fits are nearly equal: rounding would choose the best one.
-        by_fit, nearest = self._log_odds(evidence, fits, *sample)
+        by_fit, nearest = self._log_odds(evidence, fits, sample)
         median = np.median(by_fit, axis=0)
         agreeing = np.argmin(np.sum(((np.array(by_fit) > 0) != (median > 0))[:, seen], axis=1))
         median = smooth(median, means, seen, strength=self.smoothing, neighbours=self.neighbours)
@@ -206,18 +206,14 @@ class RobustEstimator(Estimator):
         return fits[: len(fits) // 2 | 1]
 
     def _log_odds(
-        self,
-        evidence: EvidenceOfViews,
-        fits: Sequence[Roles],
-        sample: np.ndarray,
-        represents: np.ndarray,
+        self, evidence: EvidenceOfViews, fits: Sequence[Roles], sample: tuple[np.ndarray, ...]
     ) -> tuple[np.ndarray, np.ndarray]:
         """Log odds of tampering by F fits, (F, N); the nearest tampered and other class, (F, 2, N).
 
         Block by block, since the errors of all fits and Gaussians would take gigabytes.
         """
-        seen, flagged = gaussian_visibility.visibility(evidence, sample, self.half_weight)
-        rates = [false_alarm_rate(seen, flagged, represents, roles) for roles in fits]
+        seen, flagged = gaussian_visibility.visibility(evidence, sample[0], self.half_weight)
+        rates = [false_alarm_rate(seen, flagged, sample[1], roles) for roles in fits]
         of_flag = np.float32([flag_weight(self.class_log_odds, rate) for rate in rates])
         log_odds = np.empty((len(fits), evidence.shape[1]), np.float32)
         nearest = np.empty((len(fits), 2, evidence.shape[1]), np.int8)

@@ -24,7 +24,7 @@ def test_the_heaviest_class_is_authentic_and_the_most_flagged_tampered():
     assert found.patterns[1].tolist() == [True, True, True, False]
     assert found.tampered.tolist()[:2] == [False, True]
     assert found.rate == 0.75
-    assert found.views == 4
+    assert found.seen[1] == 4
 
 
 def test_views_that_flag_the_authentic_class_are_inverted():
@@ -64,7 +64,7 @@ def test_views_that_do_not_see_a_class_do_not_count():
     weights = [[1.0] * 4, [1, 1, 1, 0.0]]
     found = roles([LOW] * 4, [HIGH, HIGH, HIGH, 0.5], weights=weights)
     assert found.rate == 1
-    assert found.views == 3
+    assert found.seen[1] == 3
 
 
 def test_one_class_has_no_roles():
@@ -118,7 +118,7 @@ def test_the_unit_of_the_weights_does_not_matter():
         found, expected = (assign_roles(rates, w) for w in (unit * weights, weights))
         assert found is not None
         assert expected is not None
-        assert found.views == pytest.approx(expected.views)
+        assert found.seen == pytest.approx(expected.seen)
         assert found.rate == pytest.approx(expected.rate)
 
 
@@ -131,7 +131,7 @@ def test_a_class_that_no_view_sees_has_no_role():
 @pytest.mark.parametrize("rate", [0.1, 0.5])
 def test_the_tampered_class_is_another_than_the_authentic_one_even_if_nothing_is_flagged(rate):
     found = roles([LOW] * 3, [rate] * 3, weights=[[1] * 3, [1, 1, 0]])
-    assert (found.rate, found.views) == (0, 2)
+    assert (found.rate, found.seen[1]) == (0, 2)
 
 
 def test_classes_that_fewer_than_two_views_separate_are_one_object():

@@ -64,14 +64,9 @@ class Roles:
         return float(self.rates[np.argmax(self.tampered)])
 
     @property
-    def views(self) -> float:
-        """Number of views that see the first tampered class."""
-        return float(self.seen[np.argmax(self.tampered)])
-
-    @property
     def scene_probability(self) -> float:
         """`scene_probability` of the first tampered class; less for few masks."""
-        found = scene_probability(self.rate, self.views)
+        found = scene_probability(self.rate, float(self.seen[np.argmax(self.tampered)]))
         return found if len(self.inverted) >= MIN_MASKS else min(found, MAX_OF_FEW)
 
 

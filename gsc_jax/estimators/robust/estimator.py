@@ -164,10 +164,9 @@ class RobustEstimator(Estimator):
         `flagged`, all probabilities are 0. They are deterministic, and finite for any evidence.
         """
         seen_sum, flagged_sum = gaussian_visibility.summed_visibility(evidence, self.half_weight)
-        seen, fits = seen_sum > 0, []
-        if flagged and seen.any():
-            sample = gaussian_visibility.stratified_sample(seen_sum, flagged_sum, self.sample)
-            fits = self._roles_by_fit(evidence, *sample)
+        seen = seen_sum > 0
+        sample = gaussian_visibility.stratified_sample(seen_sum, flagged_sum, self.sample)
+        fits = self._roles_by_fit(evidence, *sample) if flagged and seen.any() else []
         if not fits:
             nothing = np.zeros(len(seen), np.float32)
             return MaskEstimate(probability=nothing, seen=seen, region=nothing.astype(np.int8))
@@ -208,16 +207,13 @@ class RobustEstimator(Estimator):
     def _log_odds(
         self, evidence: EvidenceOfViews, fits: Sequence[Roles], sample: tuple[np.ndarray, ...]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Log odds of tampering by F fits, (F, N); the nearest tampered and other class, (F, 2, N).
-
-        Block by block, since the errors of all fits and Gaussians would take gigabytes.
-        """
+        """Log odds of tampering by F fits, (F, N); nearest tampered and other class, (F, 2, N)."""
         seen, flagged = gaussian_visibility.visibility(evidence, sample[0], self.half_weight)
         rates = [false_alarm_rate(seen, flagged, sample[1], roles) for roles in fits]
         of_flag = np.float32([flag_weight(self.class_log_odds, rate) for rate in rates])
         log_odds = np.empty((len(fits), evidence.shape[1]), np.float32)
         nearest = np.empty((len(fits), 2, evidence.shape[1]), np.int8)
-        for block in blocks(evidence.shape[1], gaussian_visibility.BLOCK):
+        for block in blocks(evidence.shape[1], gaussian_visibility.BLOCK):  # or gigabytes of errors
             seen, flagged = gaussian_visibility.visibility(evidence, block, self.half_weight)
             for i, roles in enumerate(fits):
                 errors = pattern_errors(seen, flagged, roles)

@@ -25,12 +25,10 @@ def summed_visibility(
     evidence: EvidenceOfViews, half_weight: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """`visibility` of all Gaussians summed over the views, shapes (N,)."""
-    sums = [
-        [part.sum(axis=0) for part in visibility(evidence, block, half_weight)]
-        for block in blocks(evidence.shape[1], BLOCK)
-    ]
-    seen, flagged = (np.concatenate(parts) for parts in zip(*sums, strict=True))
-    return seen, flagged
+    sums = np.empty((2, evidence.shape[1]), np.float32)
+    for block in blocks(evidence.shape[1], BLOCK):
+        sums[:, block] = [part.sum(axis=0) for part in visibility(evidence, block, half_weight)]
+    return sums[0], sums[1]
 
 
 def stratified_sample(
@@ -46,7 +44,7 @@ def stratified_sample(
     share = flagged / np.maximum(seen, 1e-30)
     visible = np.minimum(seen, 1.0)
     flagged_part = visible * share
-    density = visible / visible.sum() + flagged_part / max(flagged_part.sum(), 1e-30)
+    density = visible / max(visible.sum(), 1e-30) + flagged_part / max(flagged_part.sum(), 1e-30)
     order = np.argsort(share, kind="stable")
     cumulative = np.cumsum(density[order], dtype=np.float64)
     steps = (np.arange(size) + 0.5) / size * cumulative[-1]

@@ -55,10 +55,9 @@ def fuse(
     """
     if (given := len(prior.probability)) != len(probability):
         raise ValueError(f"the prior has {given} Gaussians, expected {len(probability)}")
+    masks_wrong = 1 - verdict if verdict < MIN_MASK_VERDICT else 0.0
     if prior.exact:
         masks_wrong = 1 - verdict / 2  # and half of the cases in which both are correct
-    else:
-        masks_wrong = 1 - verdict if verdict < MIN_MASK_VERDICT else 0.0
     share = weight * prior.verdict * np.where(seen, masks_wrong, 1.0) * prior.known
     discount = 1.0 if rank is None or masks_wrong else min(EXPONENT * rank ** (EXPONENT - 1), 1.0)
     log_odds = weight * (max(float(log_odds_of(prior.verdict)), 0.0) + math.log(discount))

@@ -148,9 +148,7 @@ def fit(
         The attribute, shape (N,), and the info of all iterations.
     """
     config, attributes = resolved(config, len(order)), jnp.asarray(attributes)
-    return _iterate(
-        lambda state, view: _evidence_step(state, evidence.view(view), attributes, config), r, order
-    )
+    return _iterate(lambda s, j: _evidence_step(s, evidence.view(j), attributes, config), r, order)
 
 
 def fit_rendered(
@@ -166,9 +164,7 @@ def fit_rendered(
     `view_of` gives a view and its mask (H, W) in each iteration, so that one is in memory.
     """
     config, attributes = resolved(config, len(order)), jnp.asarray(attributes)
-    return _iterate(
-        lambda state, view: _rendered_step(state, *view_of(view), attributes, config), r, order
-    )
+    return _iterate(lambda s, j: _rendered_step(s, *view_of(j), attributes, config), r, order)
 
 
 def _iterate(

@@ -1,10 +1,10 @@
-"""Sampled Gaussians, and their distances from the patterns of classes, by what views show."""
+"""Sampled Gaussians, errors of masks about classes, and the flagged share of what is authentic."""
 
 import numpy as np
 import pytest
 
 from gsc_jax.estimators.robust.class_roles import Roles, assign_roles
-from gsc_jax.estimators.robust.estimator import false_alarm_rate, pattern_errors
+from gsc_jax.estimators.robust.estimator import authentic_flag_share, pattern_errors
 from gsc_jax.estimators.robust.gaussian_visibility import stratified_sample, visibility
 from gsc_jax.evidence.lifting import Evidence
 
@@ -37,8 +37,8 @@ def test_pattern_errors_count_views_that_contradict_a_pattern():
     assert false_alarms.T.tolist() == [[0.5, 0.0], [0.125, 0.0]]
     assert misses.T.tolist() == [[0.0, 0.5], [0.0, 0.375]]
     # In the median of two views; the first Gaussian is as near to either class.
-    assert false_alarm_rate(looked, flagged, np.ones(2), roles) == 0.625 / 2
-    assert false_alarm_rate(looked, flagged, np.array([0, 1]), roles) == 0.25 / 2
+    assert authentic_flag_share(looked, flagged, np.ones(2), roles) == 0.625 / 2
+    assert authentic_flag_share(looked, flagged, np.array([0, 1]), roles) == 0.25 / 2
 
 
 def test_pattern_errors_of_a_mixed_pattern_with_an_inverted_view():
@@ -56,11 +56,11 @@ def test_pattern_errors_of_a_mixed_pattern_with_an_inverted_view():
     false_alarms, misses = pattern_errors(seen, flagged, roles)
     assert false_alarms.T.tolist() == [[0.25, 0.125]]
     assert misses.T.tolist() == [[0.0, 0.375]]
-    assert false_alarm_rate(seen, flagged, np.ones(1), roles) == 0.25
+    assert authentic_flag_share(seen, flagged, np.ones(1), roles) == 0.25
 
 
 @pytest.mark.parametrize("classes", [2, 3, 4])
-def test_false_alarm_rate_is_the_share_flagged_of_what_is_authentic(classes):
+def test_authentic_flag_share_of_a_sample(classes):
     """Of Gaussians that each stand for several, with masks that are inverted."""
     rng = np.random.default_rng(classes)
     seen = rng.random((7, 500))
@@ -77,8 +77,9 @@ def test_false_alarm_rate_is_the_share_flagged_of_what_is_authentic(classes):
     errors = [np.where(one[:, None], seen - turned, turned).sum(axis=0) for one in roles.patterns]
     authentic = np.repeat(np.argmin(errors, axis=0) != 1, represents)
     share = [
-        np.repeat(flags, represents)[authentic].sum() / np.repeat(all_, represents)[authentic].sum()
-        for flags, all_ in zip(turned, seen, strict=True)
+        np.repeat(flags, represents)[authentic].sum()
+        / np.repeat(shown, represents)[authentic].sum()
+        for flags, shown in zip(turned, seen, strict=True)
     ]
-    found = false_alarm_rate(seen, flagged, represents, roles)
+    found = authentic_flag_share(seen, flagged, represents, roles)
     assert found == pytest.approx(np.median(share), rel=1e-5)

@@ -13,10 +13,11 @@ import pytest
 from failing_masks import ESTIMATOR
 from scipy.special import logit
 
-from gsc_jax.estimators.robust import estimator
+from gsc_jax.estimators.robust import estimator, gaussian_visibility
 from gsc_jax.estimators.robust.class_roles import Roles, assign_roles
 from gsc_jax.estimators.robust.estimator import RobustEstimator, flag_weight
-from gsc_jax.evidence.lifting import Evidence, EvidenceOfViews
+from gsc_jax.estimators.robust.gaussian_visibility import visibility
+from gsc_jax.evidence.lifting import Evidence
 
 VIEWS = 12
 FLAGGED = np.zeros((4, VIEWS), bool)
@@ -48,10 +49,8 @@ class WithRoles(RobustEstimator):
     fits: tuple[tuple[int, ...], ...] = ALL_GROUPS
     turned: int = 0
 
-    def _roles_by_fit(
-        self, evidence: EvidenceOfViews, sample: object, represents: object
-    ) -> list[Roles]:
-        del evidence, sample, represents
+    def _roles_by_fit(self, seen: object, flagged: object, represents: object) -> list[Roles]:
+        del seen, flagged, represents
         return [
             Roles(
                 inverted=np.arange(VIEWS) < self.turned,
@@ -121,13 +120,11 @@ GROUPS = Evidence(
     tampered=(1e6 * FLAGGED[KINDS].T).astype(np.float32),
 )
 """Masks that flag the groups without an error."""
-EVERYTHING = np.arange(len(KINDS)), np.ones(len(KINDS), np.float32)
+EVERYTHING = *visibility(GROUPS, slice(None), 8.0), np.ones(len(KINDS), np.float32)
 
 
 def test_em_finds_the_given_roles():
-    best, given = (
-        each._roles_by_fit(GROUPS, *EVERYTHING)[0] for each in (FOUR_CLASSES, WithRoles())
-    )
+    best, given = (each._roles_by_fit(*EVERYTHING)[0] for each in (FOUR_CLASSES, WithRoles()))
     assert best.tampered.tolist() == given.tampered.tolist()
     assert sorted(best.patterns.tolist()) == sorted(given.patterns.tolist())
     np.testing.assert_allclose(best.rate, given.rate, atol=0.01)
@@ -136,10 +133,7 @@ def test_em_finds_the_given_roles():
 @pytest.mark.parametrize(("restarts", "fits"), [(1, 1), (2, 3), (3, 3), (4, 5), (5, 5), (8, 9)])
 def test_the_better_half_of_the_fits_decides_and_is_odd(restarts, fits):
     """EM starts `restarts` times with 4 classes and as often with 8: all these are fits."""
-    assert (
-        len(dataclasses.replace(ESTIMATOR, restarts=restarts)._roles_by_fit(GROUPS, *EVERYTHING))
-        == fits
-    )
+    assert len(dataclasses.replace(ESTIMATOR, restarts=restarts)._roles_by_fit(*EVERYTHING)) == fits
 
 
 @pytest.mark.parametrize(("left_out", "fits"), [(0, 9), (11, 3), (14, 1), (16, 0)])
@@ -150,7 +144,7 @@ def test_fits_of_one_class_are_left_out(left_out, fits, monkeypatch):
         return None if next(calls) < left_out else assign_roles(*args, **options)
 
     monkeypatch.setattr(estimator, "assign_roles", roles_of_some)
-    assert len(ESTIMATOR._roles_by_fit(GROUPS, *EVERYTHING)) == fits
+    assert len(ESTIMATOR._roles_by_fit(*EVERYTHING)) == fits
 
 
 @pytest.mark.parametrize("edit", [1, 2])
@@ -165,6 +159,15 @@ def test_what_most_fits_say_is_labelled_and_a_fit_that_agrees_is_reported(edit):
     assert not labelled[KINDS == 0].any()
     np.testing.assert_array_equal(found.roles.tampered[found.region], labelled)
     np.testing.assert_array_equal(found.region[KINDS == 0], 0)
+
+
+def test_the_size_of_the_blocks_does_not_matter(monkeypatch):
+    robust, means = WithRoles(fits=((0, 1), (0, 1, 2), (0, 1, 2, 3))), np.zeros((len(KINDS), 3))
+    whole = robust.from_masks(GROUPS, means)
+    monkeypatch.setattr(gaussian_visibility, "BLOCK", 100)  # the last block has 80
+    parts = robust.from_masks(GROUPS, means)
+    np.testing.assert_allclose(parts.probability, whole.probability, atol=1e-6)
+    np.testing.assert_array_equal(parts.region, whole.region)
 
 
 @pytest.mark.parametrize(("with_distractor", "log_odds"), [(0, 12), (1, 12), (2, 1.5), (3, -9)])

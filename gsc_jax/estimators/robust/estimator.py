@@ -50,7 +50,7 @@ class RobustEstimator(Estimator):
         name: Name of the method in results.
         classes: Candidate numbers of latent classes.
         restarts: EM starts for each candidate; the better half of all fits decides.
-        sample: Number of Gaussians to which the classes are fitted.
+        sample: Number of Gaussians for the classes and the weight of a flag.
         half_weight: Weight in pixels at which a view counts one half.
         effective_pixels: Number of independent pixels that a full view counts in EM.
         inversion: Whether masks may be inverted, if there is more than one.
@@ -163,27 +163,31 @@ class RobustEstimator(Estimator):
         The positions (N, D) only serve to find neighbours. If no mask covers anything, not
         `flagged`, all probabilities are 0. They are deterministic, and finite for any evidence.
         """
-        seen_sum, flagged_sum = gaussian_visibility.summed_visibility(evidence, self.half_weight)
-        seen = seen_sum > 0
-        sample = gaussian_visibility.stratified_sample(seen_sum, flagged_sum, self.sample)
-        fits = self._roles_by_fit(evidence, *sample) if flagged and seen.any() else []
+        sums = gaussian_visibility.summed_visibility(evidence, self.half_weight)
+        seen, fits, sample = sums[0] > 0, [], ()
+        if flagged and seen.any():
+            rows, represents = gaussian_visibility.stratified_sample(*sums, self.sample)
+            sample = *gaussian_visibility.visibility(evidence, rows, self.half_weight), represents
+            fits = self._roles_by_fit(*sample)
         if not fits:
             nothing = np.zeros(len(seen), np.float32)
             return MaskEstimate(probability=nothing, seen=seen, region=nothing.astype(np.int8))
         # The criteria of several fits are nearly equal: rounding would choose the best one.
         by_fit, nearest = self._log_odds(evidence, fits, sample)
         median = np.median(by_fit, axis=0)
-        agreeing = np.argmin(np.sum(((np.array(by_fit) > 0) != (median > 0))[:, seen], axis=1))
+        agreeing = np.argmin(np.sum(((by_fit > 0) != (median > 0))[:, seen], axis=1))
         median = smooth(median, means, seen, strength=self.smoothing, neighbours=self.neighbours)
         probability = np.where(seen, expit(median), 0.0).astype(np.float32)
         region = np.where(probability > 0.5, *nearest[agreeing])
         return MaskEstimate(probability=probability, seen=seen, roles=fits[agreeing], region=region)
 
     def _roles_by_fit(
-        self, evidence: EvidenceOfViews, sample: np.ndarray, represents: np.ndarray
+        self, seen: np.ndarray, flagged: np.ndarray, represents: np.ndarray
     ) -> list[Roles]:
-        """Roles by the better half of the fits to sampled Gaussians (S,), an odd number of them."""
-        seen, flagged = gaussian_visibility.visibility(evidence, sample, self.half_weight)
+        """Roles by the better half of the fits, an odd number, to sampled Gaussians.
+
+        Given their `visibility` (V, S), and how many each represents (S,).
+        """
         fit = fit_classes(
             self.effective_pixels * flagged,
             self.effective_pixels * (seen - flagged),
@@ -208,12 +212,12 @@ class RobustEstimator(Estimator):
         self, evidence: EvidenceOfViews, fits: Sequence[Roles], sample: tuple[np.ndarray, ...]
     ) -> tuple[np.ndarray, np.ndarray]:
         """Log odds of tampering by F fits, (F, N); nearest tampered and other class, (F, 2, N)."""
-        seen, flagged = gaussian_visibility.visibility(evidence, sample[0], self.half_weight)
-        rates = [false_alarm_rate(seen, flagged, sample[1], roles) for roles in fits]
-        of_flag = np.float32([flag_weight(self.class_log_odds, rate) for rate in rates])
+        shares = [authentic_flag_share(*sample, roles) for roles in fits]
+        of_flag = [np.float32(flag_weight(self.class_log_odds, share)) for share in shares]
         log_odds = np.empty((len(fits), evidence.shape[1]), np.float32)
         nearest = np.empty((len(fits), 2, evidence.shape[1]), np.int8)
-        for block in blocks(evidence.shape[1], gaussian_visibility.BLOCK):  # or gigabytes of errors
+        # The visibility and errors of all Gaussians at once would take gigabytes in large scenes.
+        for block in blocks(evidence.shape[1], gaussian_visibility.BLOCK):
             seen, flagged = gaussian_visibility.visibility(evidence, block, self.half_weight)
             for i, roles in enumerate(fits):
                 errors = pattern_errors(seen, flagged, roles)
@@ -221,8 +225,8 @@ class RobustEstimator(Estimator):
                 # The best class of each kind: probabilities of similar distractors must not add up.
                 kinds = [np.flatnonzero(kind) for kind in (roles.tampered, ~roles.tampered)]
                 best = np.stack([kind[costs[kind].argmin(axis=0)] for kind in kinds])
-                nearest[i, :, block], costs = best, np.take_along_axis(costs, best, axis=0)
-                log_odds[i, block] = costs[1] - costs[0]
+                tampered, other = np.take_along_axis(costs, best, axis=0)
+                log_odds[i, block], nearest[i, :, block] = other - tampered, best
         return log_odds, nearest
 
 
@@ -244,29 +248,30 @@ class MaskEstimate:
 
 
 def pattern_errors(seen: np.ndarray, flagged: np.ndarray, roles: Roles) -> np.ndarray:
-    """Number of views whose masks are wrong about a Gaussian if it belongs to a class, (2, C, M).
+    """Views whose masks are wrong about M Gaussians if these belong to a class, shape (2, C, M).
 
-    First the views that flag it and should not, then those that should and do not, weighted by
-    `visibility` (V, M).
+    First those that flag a Gaussian and should not, then those that should and do not, after
+    inverted masks are turned; each view counts with the `visibility` (V, M) of the Gaussian.
     """
     turned = np.where(roles.inverted[:, None], seen - flagged, flagged)
     patterns = roles.patterns.astype(np.float32)
     return np.stack([(1 - patterns) @ turned, patterns @ (seen - turned)])
 
 
-def false_alarm_rate(
+def authentic_flag_share(
     seen: np.ndarray, flagged: np.ndarray, represents: np.ndarray, roles: Roles
 ) -> float:
-    """Share flagged of what is nearest to an authentic class, in the median of the views.
+    """Share of what is authentic that a mask flags, in the median of the views.
 
-    Not the mean, which a large authentic region that only some views flag would raise. Of sampled
-    Gaussians, given `visibility` (V, S), and how many each `represents` (S,).
+    Inverted masks are turned; a view that shows nothing authentic counts as 0. The mean would rise
+    with a large authentic region that only some views flag. `seen` and `flagged` (V, S) are the
+    `visibility` of sampled Gaussians, `represents` (S,) how many each of them stands for.
     """
     nearest = pattern_errors(seen, flagged, roles).sum(axis=0).argmin(axis=0)
     authentic = represents * ~roles.tampered[nearest]
-    shown, false = seen @ authentic, flagged @ authentic
-    false = np.where(roles.inverted, shown - false, false)
-    return float(np.median(false / np.maximum(shown, 1e-30)))
+    shown, flags = seen @ authentic, flagged @ authentic
+    flags = np.where(roles.inverted, shown - flags, flags)
+    return float(np.median(flags / np.maximum(shown, 1e-30)))
 
 
 def flag_weight(log_odds: float, rate: float) -> float:

@@ -44,7 +44,7 @@ def stratified_sample(
     share = flagged / np.maximum(seen, 1e-30)
     visible = np.minimum(seen, 1.0)
     flagged_part = visible * share
-    density = visible / max(visible.sum(), 1e-30) + flagged_part / max(flagged_part.sum(), 1e-30)
+    density = visible / visible.sum() + flagged_part / max(flagged_part.sum(), 1e-30)
     order = np.argsort(share, kind="stable")
     cumulative = np.cumsum(density[order], dtype=np.float64)
     steps = (np.arange(size) + 0.5) / size * cumulative[-1]

@@ -51,7 +51,7 @@ class Fit:
 
 
 def fit_classes(
-    flagged: Array, clear: Array, *, counts: Sequence[int], restarts: int = 4, seed: int = 0
+    flagged: Array, clear: Array, *, counts: Sequence[int], restarts: int = 8, seed: int = 0
 ) -> Fit:
     """Fit latent classes to how often Gaussians are flagged in each view; all starts, best first.
 

@@ -33,12 +33,12 @@ def test_pattern_errors_count_views_that_contradict_a_pattern():
     roles = assign_roles(np.array([[0.1, 0.1], [0.9, 0.9]]), np.array([[9.0, 9.0], [1.0, 1.0]]))
     assert roles is not None
     # A flag contradicts the authentic class, the lack of one contradicts the tampered class.
-    false_alarms, misses = pattern_errors(looked, flagged, roles)
+    false_alarms, misses = pattern_errors(roles, looked, flagged)
     assert false_alarms.T.tolist() == [[0.5, 0.0], [0.125, 0.0]]
     assert misses.T.tolist() == [[0.0, 0.5], [0.0, 0.375]]
     # In the median of two views; the first Gaussian is as near to either class.
-    assert authentic_flag_share(looked, flagged, np.ones(2), roles) == 0.625 / 2
-    assert authentic_flag_share(looked, flagged, np.array([0, 1]), roles) == 0.25 / 2
+    assert authentic_flag_share(roles, looked, flagged, np.ones(2)) == 0.625 / 2
+    assert authentic_flag_share(roles, looked, flagged, np.array([0, 1])) == 0.25 / 2
 
 
 def test_pattern_errors_of_a_mixed_pattern_with_an_inverted_view():
@@ -53,10 +53,10 @@ def test_pattern_errors_of_a_mixed_pattern_with_an_inverted_view():
         seen=np.ones(2),
     )
     seen, flagged = visibility(evidence, slice(None), 8.0)
-    false_alarms, misses = pattern_errors(seen, flagged, roles)
+    false_alarms, misses = pattern_errors(roles, seen, flagged)
     assert false_alarms.T.tolist() == [[0.25, 0.125]]
     assert misses.T.tolist() == [[0.0, 0.375]]
-    assert authentic_flag_share(seen, flagged, np.ones(1), roles) == 0.25
+    assert authentic_flag_share(roles, seen, flagged, np.ones(1)) == 0.25
 
 
 @pytest.mark.parametrize("classes", [2, 3, 4])
@@ -81,5 +81,5 @@ def test_authentic_flag_share_of_a_sample(classes):
         / np.repeat(shown, represents)[authentic].sum()
         for flags, shown in zip(turned, seen, strict=True)
     ]
-    found = authentic_flag_share(seen, flagged, represents, roles)
+    found = authentic_flag_share(roles, seen, flagged, represents)
     assert found == pytest.approx(np.median(share), rel=1e-5)

@@ -212,7 +212,7 @@ class RobustEstimator(Estimator):
         self, evidence: EvidenceOfViews, fits: Sequence[Roles], sample: tuple[np.ndarray, ...]
     ) -> tuple[np.ndarray, np.ndarray]:
         """Log odds of tampering by F fits, (F, N); nearest tampered and other class, (F, 2, N)."""
-        shares = [authentic_flag_share(*sample, roles) for roles in fits]
+        shares = [authentic_flag_share(roles, *sample) for roles in fits]
         of_flag = [np.float32(flag_weight(self.class_log_odds, share)) for share in shares]
         log_odds = np.empty((len(fits), evidence.shape[1]), np.float32)
         nearest = np.empty((len(fits), 2, evidence.shape[1]), np.int8)
@@ -220,7 +220,7 @@ class RobustEstimator(Estimator):
         for block in blocks(evidence.shape[1], gaussian_visibility.BLOCK):
             seen, flagged = gaussian_visibility.visibility(evidence, block, self.half_weight)
             for i, roles in enumerate(fits):
-                errors = pattern_errors(seen, flagged, roles)
+                errors = pattern_errors(roles, seen, flagged)
                 costs = of_flag[i] * errors[0] + np.float32(self.class_log_odds) * errors[1]
                 # The best class of each kind: probabilities of similar distractors must not add up.
                 kinds = [np.flatnonzero(kind) for kind in (roles.tampered, ~roles.tampered)]
@@ -247,7 +247,7 @@ class MaskEstimate:
     roles: Roles | None = None
 
 
-def pattern_errors(seen: np.ndarray, flagged: np.ndarray, roles: Roles) -> np.ndarray:
+def pattern_errors(roles: Roles, seen: np.ndarray, flagged: np.ndarray) -> np.ndarray:
     """Views whose masks are wrong about M Gaussians if these belong to a class, shape (2, C, M).
 
     First those that flag a Gaussian and should not, then those that should and do not, after
@@ -259,7 +259,7 @@ def pattern_errors(seen: np.ndarray, flagged: np.ndarray, roles: Roles) -> np.nd
 
 
 def authentic_flag_share(
-    seen: np.ndarray, flagged: np.ndarray, represents: np.ndarray, roles: Roles
+    roles: Roles, seen: np.ndarray, flagged: np.ndarray, represents: np.ndarray
 ) -> float:
     """Share of what is authentic that a mask flags, in the median of the views.
 
@@ -267,7 +267,7 @@ def authentic_flag_share(
     with a large authentic region that only some views flag. `seen` and `flagged` (V, S) are the
     `visibility` of sampled Gaussians, `represents` (S,) how many each of them stands for.
     """
-    nearest = pattern_errors(seen, flagged, roles).sum(axis=0).argmin(axis=0)
+    nearest = pattern_errors(roles, seen, flagged).sum(axis=0).argmin(axis=0)
     authentic = represents * ~roles.tampered[nearest]
     shown, flags = seen @ authentic, flagged @ authentic
     flags = np.where(roles.inverted, shown - flags, flags)

@@ -13,6 +13,9 @@ from gsc_jax.benchmark.simulate import REGIMES
 TOLERANCES = {("GS-Checker official", "f1_gaussians"): 0.02}
 """GS-Checker's loss contains a sign, which rounding decides for some Gaussians. JAX 0.10 and 0.12
 give this F1 with a difference of 0.014; all other figures agree within `runner.SAME`."""
+OF_MIXTURE = 0.02
+"""For `robust` under the mixture, where rounding changes some of the EM fits of which it takes the
+median: between JAX 0.10 and 0.12, F1 and IoU differ by up to 0.007 and 0.012 in the room."""
 METHODS = ("inverse projection", "FlashSplat", "GS-Checker official", "robust")
 
 
@@ -35,5 +38,7 @@ def test_documented_figures_come_out_of_the_code(edit, regimes):
         )
         for metric in ("f1", "iou", "precision", "recall", "false_area", "f1_gaussians", "auc"):
             tolerance = TOLERANCES.get((row["method"], metric), runner.SAME)
+            if (row["method"], row["regime"]) == ("robust", "mixture"):
+                tolerance = OF_MIXTURE
             expected = pytest.approx(figures[metric], abs=tolerance, nan_ok=True)
             assert row[metric] == expected, f"{row['regime']}, {row['method']}, {metric}"

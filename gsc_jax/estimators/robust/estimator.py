@@ -253,9 +253,9 @@ def pattern_errors(roles: Roles, seen: np.ndarray, flagged: np.ndarray) -> np.nd
     First those that flag a Gaussian and should not, then those that should and do not, after
     inverted masks are turned; each view counts with the `visibility` (V, M) of the Gaussian.
     """
-    turned = np.where(roles.inverted[:, None], seen - flagged, flagged)
-    patterns = roles.patterns.astype(np.float32)
-    return np.stack([(1 - patterns) @ turned, patterns @ (seen - turned)])
+    kinds, expected = np.stack([~roles.patterns, roles.patterns]), roles.patterns ^ roles.inverted
+    if_flagged, if_clear = ((kinds & wrong).astype(np.float32) for wrong in (~expected, expected))
+    return (if_flagged - if_clear) @ flagged + if_clear @ seen  # with no array (V, M)
 
 
 def authentic_flag_share(

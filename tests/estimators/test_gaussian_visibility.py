@@ -1,4 +1,4 @@
-"""Sampled Gaussians, errors of masks about classes, and the flagged share of what is authentic."""
+"""Sampled Gaussians, views that contradict their classes, and false flags."""
 
 import numpy as np
 import pytest
@@ -36,7 +36,7 @@ def test_pattern_errors_count_views_that_contradict_a_pattern():
     false_alarms, misses = pattern_errors(roles, looked, flagged)
     assert false_alarms.T.tolist() == [[0.5, 0.0], [0.125, 0.0]]
     assert misses.T.tolist() == [[0.0, 0.5], [0.0, 0.375]]
-    # In the median of two views; the first Gaussian is as near to either class.
+    # Half of the share in the first of two views: nothing is flagged in the second one.
     assert authentic_flag_share(roles, looked, flagged, np.ones(2)) == 0.625 / 2
     assert authentic_flag_share(roles, looked, flagged, np.array([0, 1])) == 0.25 / 2
 
@@ -61,7 +61,7 @@ def test_pattern_errors_of_a_mixed_pattern_with_an_inverted_view():
 
 @pytest.mark.parametrize("classes", [2, 3, 4])
 def test_authentic_flag_share_of_a_sample(classes):
-    """Of Gaussians that each stand for several, with masks that are inverted."""
+    """Each sampled Gaussian stands for several others, and some masks are inverted."""
     rng = np.random.default_rng(classes)
     seen = rng.random((7, 500))
     flagged = seen * rng.random(seen.shape)

@@ -14,9 +14,8 @@ TOLERANCES = {("GS-Checker official", "f1_gaussians"): 0.02}
 """GS-Checker's loss contains a sign, which rounding decides for some Gaussians. JAX 0.10 and 0.12
 give this F1 with a difference of 0.014; all other figures agree within `runner.SAME`."""
 OF_ROBUST = 0.02
-"""`robust` takes the median over EM fits, some of which rounding changes: JAX 0.10 and 0.12 give an
-F1 and IoU of these cases that differ by up to 0.007 and 0.011 (mixture), 0.003 and 0.007 (clean
-masks)."""
+"""Largest difference for `robust`, whose EM fits depend on rounding: with JAX 0.10 and 0.12, F1 and
+IoU of these cases differ by up to 0.007 and 0.011."""
 METHODS = ("inverse projection", "FlashSplat", "GS-Checker official", "robust")
 
 

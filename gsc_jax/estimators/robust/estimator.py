@@ -184,7 +184,7 @@ class RobustEstimator(Estimator):
     def _roles_by_fit(
         self, seen: np.ndarray, flagged: np.ndarray, represents: np.ndarray
     ) -> list[Roles]:
-        """Roles by the better half of the fits, an odd number, to sampled Gaussians.
+        """Roles of the classes in the better half, an odd number, of EM fits to a sample.
 
         Given their `visibility` (V, S), and how many each represents (S,).
         """
@@ -216,13 +216,13 @@ class RobustEstimator(Estimator):
         of_flag = [np.float32(flag_weight(self.class_log_odds, share)) for share in shares]
         log_odds = np.empty((len(fits), evidence.shape[1]), np.float32)
         nearest = np.empty((len(fits), 2, evidence.shape[1]), np.int8)
-        # The visibility and errors of all Gaussians at once would take gigabytes in large scenes.
+        # In blocks: arrays of all Gaussians, views and classes would take gigabytes.
         for block in blocks(evidence.shape[1], gaussian_visibility.BLOCK):
             seen, flagged = gaussian_visibility.visibility(evidence, block, self.half_weight)
             for i, roles in enumerate(fits):
                 errors = pattern_errors(roles, seen, flagged)
                 costs = of_flag[i] * errors[0] + np.float32(self.class_log_odds) * errors[1]
-                # The best class of each kind: probabilities of similar distractors must not add up.
+                # Only the nearest class of each kind counts: similar distractors must not add up.
                 kinds = [np.flatnonzero(kind) for kind in (roles.tampered, ~roles.tampered)]
                 best = np.stack([kind[costs[kind].argmin(axis=0)] for kind in kinds])
                 tampered, other = np.take_along_axis(costs, best, axis=0)
@@ -248,20 +248,20 @@ class MaskEstimate:
 
 
 def pattern_errors(roles: Roles, seen: np.ndarray, flagged: np.ndarray) -> np.ndarray:
-    """Views whose masks are wrong about M Gaussians if these belong to a class, shape (2, C, M).
+    """Number of views whose mask contradicts that a Gaussian belongs to a class, shape (2, C, M).
 
     First those that flag a Gaussian and should not, then those that should and do not, after
     inverted masks are turned; each view counts with the `visibility` (V, M) of the Gaussian.
     """
     kinds, expected = np.stack([~roles.patterns, roles.patterns]), roles.patterns ^ roles.inverted
     if_flagged, if_clear = ((kinds & wrong).astype(np.float32) for wrong in (~expected, expected))
-    return (if_flagged - if_clear) @ flagged + if_clear @ seen  # with no array (V, M)
+    return (if_flagged - if_clear) @ flagged + if_clear @ seen  # no temporary (V, M)
 
 
 def authentic_flag_share(
     roles: Roles, seen: np.ndarray, flagged: np.ndarray, represents: np.ndarray
 ) -> float:
-    """Share of what is authentic that a mask flags, in the median of the views.
+    """Median over the views of the share of authentic Gaussians that a mask flags.
 
     Inverted masks are turned; a view that shows nothing authentic counts as 0. The mean would rise
     with a large authentic region that only some views flag. `seen` and `flagged` (V, S) are the

@@ -8,7 +8,6 @@ Skene 1979) from several starts at once; the BIC (Schwarz 1978) compares them.
 """
 
 import dataclasses
-import functools
 from collections.abc import Sequence
 
 import jax
@@ -24,6 +23,9 @@ TOLERANCE = 1e-4
 MAX_ITERATIONS = 100
 MIN_PADDED_VIEWS = 16
 """Views are padded to a power of two from here on, to avoid compiling for each number of views."""
+
+_Pixels = tuple[Array, Array]
+"""Effective numbers of flagged and of clear pixels."""
 
 
 @pytree
@@ -68,19 +70,23 @@ def fit_classes(
     flagged, clear = (jnp.pad(jnp.asarray(x, jnp.float32), padding) for x in (flagged, clear))
     used = np.repeat(counts, restarts)[:, None] > np.arange(max(counts), dtype=np.int32)
     keys = jax.random.split(jax.random.key(seed), len(used))
-    fit = _fit_all(flagged, clear, jnp.asarray(used, jnp.float32), keys)
+    # Copies: a product with a matrix that XLA has to transpose takes twice as long.
+    by_view, by_gaussian = (flagged, clear), (flagged.T, clear.T)
+    fit = _fit_all(by_view, by_gaussian, jnp.asarray(used, jnp.float32), keys)
     classes = dataclasses.replace(fit.classes, rates=fit.classes.rates[..., :views])
     return dataclasses.replace(fit, classes=classes)
 
 
 @jax.jit
-def _fit_all(flagged: Array, clear: Array, used: Array, keys: Array) -> Fit:
-    fits = jax.vmap(functools.partial(_fit_one, flagged, clear))(used, keys)
+def _fit_all(by_view: _Pixels, by_gaussian: _Pixels, used: Array, keys: Array) -> Fit:
+    # One after the other: side by side, all starts take as many iterations as the slowest one.
+    fits = jax.lax.map(lambda start: _fit_one(by_view, by_gaussian, *start), (used, keys))
     return jax.tree.map(lambda leaf: leaf[jnp.argsort(-fits.criterion)], fits)
 
 
-def _fit_one(flagged: Array, clear: Array, used: Array, key: Array) -> Fit:
+def _fit_one(by_view: _Pixels, by_gaussian: _Pixels, used: Array, key: Array) -> Fit:
     """Run EM from one start until convergence."""
+    flagged, clear = by_view
     size = flagged.shape[1]
 
     def improves(state: tuple[Classes, Array, Array, Array]) -> Array:
@@ -90,9 +96,11 @@ def _fit_one(flagged: Array, clear: Array, used: Array, key: Array) -> Fit:
     def step(state: tuple[Classes, Array, Array, Array]) -> tuple[Classes, Array, Array, Array]:
         classes, likelihood, _, iteration = state
         joint = _log_joint(classes, flagged, clear)
-        total = jax.nn.logsumexp(joint, axis=0)
-        classes = _maximise(jnp.exp(joint - total[None]), flagged, clear, used)
-        return classes, jnp.mean(total), likelihood, iteration + 1
+        most = jnp.max(joint, axis=0)
+        relative = jnp.exp(joint - most)
+        total = jnp.sum(relative, axis=0)
+        classes = _maximise(relative / total, *by_gaussian, used)
+        return classes, jnp.mean(most + jnp.log(total)), likelihood, iteration + 1
 
     start = Classes(rates=_start_rates(flagged, clear, len(used), key), shares=used / jnp.sum(used))
     first = (start, jnp.float32(-1e30), jnp.float32(-jnp.inf), jnp.int32(0))
@@ -114,8 +122,8 @@ def _log_joint(classes: Classes, flagged: Array, clear: Array) -> Array:
 
 
 def _maximise(responsibilities: Array, flagged: Array, clear: Array, used: Array) -> Classes:
-    """M step: rates with half a pseudo-count per outcome, shares with one pseudo-Gaussian."""
-    positive, negative = responsibilities @ flagged.T, responsibilities @ clear.T
+    """M step for `flagged` and `clear` (S, V): half a pseudo-count per outcome, one per share."""
+    positive, negative = responsibilities @ flagged, responsibilities @ clear
     rates = (positive + 0.5) / (positive + negative + 1.0)
     members = used * (jnp.sum(responsibilities, axis=1) + 1.0)
     rates = jnp.clip(rates, RATE_FLOOR, 1 - RATE_FLOOR)

@@ -19,7 +19,6 @@ from scipy.sparse import csr_array
 
 from gsc_jax.render.projection import NEAR, Splats, project
 from gsc_jax.scene import Array, Camera, Gaussians, InputError
-from gsc_jax.scene.gaussians import bucket
 from gsc_jax.scene.pytree import STATIC
 
 TILE = 8
@@ -41,7 +40,7 @@ class View:
         splats: Mean, whitening and log opacity of each Gaussian, and a transparent last row that
             pads the lists, shape (N + 1, 6).
         ids: The lists of the tiles, concatenated, and padding to one of few sizes.
-        tiles: Tiles, longest list first, padded to a `bucket` of groups with their own number.
+        tiles: Tiles, longest list first, padded to one of few sizes with their own number.
         starts: Start of the list of each of these tiles in `ids`.
         counts: Length of the list of each of these tiles.
         columns: Columns of tiles in the image.
@@ -116,8 +115,8 @@ def bin_view(
     lists = bin_splats(known, camera.width, camera.height, touching)
     tiles = len(lists.counts)
     lockstep = _tiles_in_group(lockstep, tiles)
-    padded = bucket(-(-tiles // lockstep)) * lockstep
-    size = 4 ** max(6, -(-(lists.total - 1).bit_length() // 2))  # few different ones
+    padded = _power_of_four(-(-tiles // lockstep)) * lockstep
+    size = _power_of_four(max(4**6, lists.total))
     return View(
         splats=table,
         ids=jnp.asarray(np.pad(lists.ids, (0, size - len(lists.ids)))),
@@ -127,6 +126,11 @@ def bin_view(
         lockstep=lockstep,
         **_longest_first(lists.starts, lists.counts, padded),
     )
+
+
+def _power_of_four(count: int) -> int:
+    """The next power of four: JAX compiles for few sizes, and padding takes hardly any time."""
+    return 4 ** -(-(count - 1).bit_length() // 2)
 
 
 def _tiles_in_group(lockstep: int | None, tiles: int) -> int:

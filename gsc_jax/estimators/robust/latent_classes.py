@@ -96,9 +96,9 @@ def _fit_one(by_view: _Pixels, by_gaussian: _Pixels, used: Array, key: Array) ->
     def step(state: tuple[Classes, Array, Array, Array]) -> tuple[Classes, Array, Array, Array]:
         classes, likelihood, _, iteration = state
         joint = _log_joint(classes, flagged, clear)
-        most = jnp.max(joint, axis=0)
+        most = jnp.max(joint, axis=0, keepdims=True)
         relative = jnp.exp(joint - most)
-        total = jnp.sum(relative, axis=0)
+        total = jnp.sum(relative, axis=0, keepdims=True)
         classes = _maximise(relative / total, *by_gaussian, used)
         return classes, jnp.mean(most + jnp.log(total)), likelihood, iteration + 1
 

@@ -16,6 +16,8 @@ from typing import NamedTuple
 import jax
 import numpy as np
 import scipy  # whose submodules load when they are first used
+import skimage  # likewise
+from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from gsc_jax.render.spherical_harmonics import Y0
@@ -146,11 +148,8 @@ def cylinder(foot: Vector, bottom: float, top: float, height: float) -> Surface:
 @functools.cache
 def _image(name: str, block: int = 1) -> np.ndarray:
     """RGB in [0, 1] of an image file of scikit-image, averaged over blocks of texels."""
-    from PIL import Image
-    from skimage.transform import downscale_local_mean
-
     if block > 1:
-        return downscale_local_mean(_image(name), (block, block, 1))
+        return skimage.transform.downscale_local_mean(_image(name), (block, block, 1))
     path = importlib.resources.files("skimage") / "data" / name
     if not path.is_file():
         raise InputError(f"{path}: texture not found; reinstall scikit-image from its wheel")

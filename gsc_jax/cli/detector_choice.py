@@ -19,7 +19,7 @@ from gsc_jax.io.files import memory_limit
 from gsc_jax.io.validation import naming
 from gsc_jax.scene import InputError
 
-NATIVE, NONE = Path("native"), Path("none")
+NATIVE, NONE = WORDS = Path("native"), Path("none")
 """Values of --detector that are not files."""
 
 
@@ -42,7 +42,7 @@ def configured_estimator(options: Locate) -> Estimator:
 
 def network_path(options: Locate) -> Path | None:
     """The 2D network among the values of --detector; InputError if there is more than one."""
-    networks = [path for path in options.detector if path not in (NATIVE, NONE)]
+    networks = [path for path in options.detector if path not in WORDS]
     combined = NONE in options.detector and len(options.detector) > 1
     if len(networks) > 1 or options.detector.count(NATIVE) > 1 or combined:
         raise InputError(

@@ -12,15 +12,8 @@ from typing import Annotated, Any
 
 import tyro
 
+from gsc_jax.cli import detector_choice
 from gsc_jax.cli.cache import cache_folder
-from gsc_jax.cli.detector_choice import (
-    NATIVE,
-    NONE,
-    configured_estimator,
-    open_detector,
-    uses_attributes,
-    with_spec,
-)
 from gsc_jax.cli.options import Locate, arg
 from gsc_jax.cli.ownership import UNFINISHED, refuse_blocked, refuse_foreign_file, refuse_overlap
 from gsc_jax.cli.report.wording import share
@@ -93,8 +86,9 @@ def run_scan(options: Scan, *, monitor: Monitor) -> tuple[list[str], list[str]]:
     refuse_foreign_file(out / PAGE, MARK)
     check_numbers(options)
     masked = options.masks is not None or any(entry.get("masks") for entry in entries)
-    attributes = uses_attributes(options, configured_estimator(options))
-    open_detector(dataclasses.replace(options, masks=None), attributes=attributes or masked)
+    estimator = detector_choice.configured_estimator(options)
+    evidence = detector_choice.uses_attributes(options, estimator) or masked
+    detector_choice.open_detector(dataclasses.replace(options, masks=None), attributes=evidence)
     settings = _settings(options)
     if options.dry_run:
         return [f"Dry run: {len(entries):,} scenes, configuration {settings.digest()[:16]}."], []
@@ -121,11 +115,10 @@ def run_scan(options: Scan, *, monitor: Monitor) -> tuple[list[str], list[str]]:
 
 
 def _settings(options: Scan) -> ScanSettings:
-    command = {x.name: getattr(with_spec(options), x.name) for x in dataclasses.fields(Locate)}
+    complete, words = detector_choice.with_spec(options), detector_choice.WORDS
+    command = {field.name: getattr(complete, field.name) for field in dataclasses.fields(Locate)}
     command |= {k: v.absolute() for k, v in command.items() if isinstance(v, Path)}
-    command["detector"] = tuple(
-        p if p in (NATIVE, NONE) else p.absolute() for p in options.detector
-    )
+    command["detector"] = tuple(p if p in words else p.absolute() for p in options.detector)
     return ScanSettings(
         command={k: v for k, v in command.items() if k not in ("scene", "out", "memory")},
         out=options.out.absolute(),

@@ -12,14 +12,8 @@ import numpy as np
 from scipy.special import expit
 
 from gsc_jax.estimators.protocol import Finding, Prior
-from gsc_jax.forensics import features
-from gsc_jax.forensics.calibration import (
-    MAX_LOG_ODDS,
-    Classification,
-    calibrate,
-    label_level,
-    nothing_known,
-)
+from gsc_jax.forensics import calibration, features
+from gsc_jax.forensics.calibration import MAX_LOG_ODDS, Classification
 from gsc_jax.forensics.classifier import Classifier, combined_log_odds, default_classifier
 from gsc_jax.forensics.copy_move import copy_move
 from gsc_jax.forensics.edge import sharpened
@@ -96,26 +90,24 @@ def _classified(
     computed: features.Features | None, means: np.ndarray, classifier: Classifier
 ) -> Classification:
     if not computed:
-        return nothing_known(classifier)
+        return calibration.nothing_known(classifier)
     places = find_places(computed, means)
     raw = combined_log_odds(computed, places, classifier)
-    return sharpened(calibrate(raw, places, classifier), computed, places)
+    return sharpened(calibration.calibrate(raw, places, classifier), computed, places)
 
 
-def _traces(
-    sound: Gaussians, computed: features.Features | None, in_file: np.ndarray
-) -> list[Trace]:
-    """All traces; none are found without features."""
+def _traces(sound: Gaussians, computed: features.Features | None, order: np.ndarray) -> list[Trace]:
+    """All traces, of Gaussians with this order in the file; none are found without features."""
     near = (computed.neighbourhoods.nearest if computed else np.zeros((0, 0), int))[:, :NEIGHBOURS]
     duplicates = computed.duplicates if computed else None
     local = [trace(sound, near) for trace in LOCAL_TRACES]
-    return [copy_move(sound, near, duplicates), *local, row_order(sound, in_file)]
+    return [copy_move(sound, near, duplicates), *local, row_order(sound, order)]
 
 
 def combine(output: Classification, traces: Sequence[Trace]) -> ForensicEvidence:
     """Combine the calibrated output of the classifier with the traces of the same Gaussians."""
     log_odds = add_traces(output.log_odds, traces)
-    level = label_level(output, traces)
+    level = calibration.label_level(output, traces)
     probability = np.where(output.known, expit(log_odds - level), 0).astype(np.float32)
     scene = output.scene_probability if output.known.any() else 0.5  # nothing was scored
     strongest = max((float(trace.score.max(initial=0)) for trace in traces), default=0.0)

@@ -9,17 +9,14 @@ import contextlib
 import threading
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath, PureWindowsPath
-from typing import TYPE_CHECKING
 
 import numpy as np
 import skimage  # whose submodules load when they are first used
+from PIL import Image
 
 from gsc_jax.io.files import atomic, check_allocation, existing_file
 from gsc_jax.io.validation import reported, shown
 from gsc_jax.scene import InputError
-
-if TYPE_CHECKING:
-    import PIL.Image
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp")
 """Suffixes of mask files, in lower case; upper case is accepted too."""
@@ -134,10 +131,8 @@ def image_path(folder: str | Path, name: str) -> Path:
 
 
 @contextlib.contextmanager
-def open_image(path: Path) -> Iterator["PIL.Image.Image"]:
+def open_image(path: Path) -> Iterator[Image.Image]:
     """Open an image of any size; `check_allocation` replaces Pillow's bound on the pixels."""
-    from PIL import Image
-
     with _OPENING:
         bound, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
         try:
@@ -148,7 +143,7 @@ def open_image(path: Path) -> Iterator["PIL.Image.Image"]:
         yield image
 
 
-def _decoded(image: "PIL.Image.Image") -> np.ndarray:
+def _decoded(image: Image.Image) -> np.ndarray:
     """Pixels, alpha last, with palettes, inks and inverted levels decoded, and no colour key."""
     tiles = getattr(image, "tile", []) if image.format == "PNG" else []
     rawmode = tiles[0].args if tiles else ""
@@ -185,8 +180,6 @@ def _grey(pixels: np.ndarray, path: Path) -> np.ndarray:
 
 
 def _write(path: str | Path, pixels: np.ndarray, kind: str = "PNG") -> None:
-    from PIL import Image
-
     options = {"quality": 90, "subsampling": 0}  # sampled colours blur outlines
     # 16 bits hardly compress: level 6 takes 4 times as long for 6 % fewer bytes.
     options["compress_level"] = 1 if pixels.dtype == np.uint16 else 6

@@ -15,6 +15,7 @@ from typing import Any
 
 import jax
 import numpy as np
+from PIL import Image
 
 from gsc_jax.io.files import check_allocation, existing_file
 from gsc_jax.io.tables import BYTES_PER_CHARACTER, read_table
@@ -109,8 +110,6 @@ def _bundle(folder: Path, max_bytes: int | None) -> bytes:
 
 def _checked(data: bytes, path: Path, max_bytes: int | None) -> bytes:
     """A SOG, if its entries and images have allowed sizes, and the tables those gsply indexes."""
-    from PIL import Image
-
     needed = 0
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         entries = {entry.filename: entry for entry in archive.infolist()}

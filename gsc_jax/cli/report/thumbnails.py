@@ -10,6 +10,7 @@ from typing import NamedTuple
 from urllib.parse import quote
 
 import numpy as np
+from PIL import Image
 
 from gsc_jax.cli.pictures import layer_path
 from gsc_jax.scene.parallel import ViewThreads, bounded_map
@@ -61,8 +62,6 @@ def url(path: Path, folder: Path) -> str:
 
 def data_uri(path: Path, side: int) -> str:
     """Shrink a .jpg, or a grey .png, to a data URI; `side` is in pixels."""
-    from PIL import Image
-
     lossy = path.suffix == ".jpg"
     with Image.open(path) as image:
         image.draft("RGB", (side, side))

@@ -170,15 +170,13 @@ def _from_views(
     monitor: Monitor,
 ) -> tuple[Finding, dict[str, Any]]:
     """Observe the views and estimate; return the finding, and other fields of the `Result`."""
-    chosen = detector.select(cameras)
-    estimator, stop = estimator.for_views(len(chosen)), None
+    used = detector.select(cameras)
+    estimator, stop = estimator.for_views(len(used)), None
     # Masks from files cost nothing; each view of a network takes seconds.
     if estimator.stops_early and detector.needs_image:
-        observation, finding, stop = observe_until_stable(
-            observed, chosen, estimator, prior, monitor
-        )
+        observation, finding, stop = observe_until_stable(observed, used, estimator, prior, monitor)
     else:
-        observation = observed(chosen)
+        observation = observed(used)
         with monitor.stage("optimise"):
             finding = estimator.estimate(observation, prior)
     with monitor.stage("optimise"):
@@ -197,7 +195,7 @@ def _from_views(
         "reliability": dict(zip(views, finding.reliability, strict=bool(finding.reliability))),
         "probabilities": observation.probabilities,
         "early_stopping": stop,
-        "warnings": [*reasons, *_without_mask(cameras, chosen), *getattr(detector, "warnings", ())],
+        "warnings": [*reasons, *_without_mask(cameras, used), *getattr(detector, "warnings", ())],
     }
 
 

@@ -18,7 +18,7 @@ from gsc_jax.io.layout import DC, NORMAL, POSITION, REST, ROTATION, SCALE
 from gsc_jax.io.ply import MAX_HEADER_BYTES, PlyScene, read_ply
 from gsc_jax.render.projection import MIN_ALPHA
 from gsc_jax.render.spherical_harmonics import Y0
-from gsc_jax.render.visibility import storage_warnings
+from gsc_jax.render.visibility import MAX_COLOUR, storage_warnings
 from gsc_jax.scene import Gaussians, InputError
 
 INRIA = (*POSITION, *NORMAL, *DC, *REST, "opacity", *SCALE, *ROTATION)
@@ -141,10 +141,6 @@ def row_problems(scene: PlyScene) -> Iterator[Problem]:
     for level, name, rows, text in _extremes(gaussians, means):
         if count := int(np.count_nonzero(rows)):
             yield Problem(level, name, count, text)
-    logits = np.asarray(gaussians.logit_opacities)
-    if logits.min() >= 0 and logits.max() <= 1 and np.ptp(logits):
-        text = "all opacities are from 0 to 1: they may not have been stored as log odds"
-        yield Problem("warning", "linear opacities", 0, text)
 
 
 def _extremes(
@@ -166,7 +162,7 @@ def _extremes(
     huge = scales[:, 2] > spread
     yield "warning", "huge", huge, "larger than the scene; haze, or a wall before the camera"
     yield "warning", "copies", copies, "exact copies of others, which are blended twice"
-    wild = np.abs(Y0 * np.asarray(gaussians.sh)[:, 0]).max(axis=1) > 5
+    wild = np.abs(Y0 * np.asarray(gaussians.sh)[:, 0]).max(axis=1) > MAX_COLOUR
     yield "warning", "colours", wild, "base colours far beyond 0 to 1; are they in 0 to 255?"
     yield "note", "needles", ratio > NEEDLE, "needles; they flicker at low resolution"
     yield "note", "flat", scales[:, 2] < FLAT * spread, "too small to be seen"

@@ -73,9 +73,7 @@ def planned_outputs(
     return [*files, *(path.as_posix() for path in paths)]
 
 
-def write_report(
-    folder: Path, command: dict[str, Any], located: Located, *, monitor: Monitor
-) -> None:
+def write_report(folder: Path, command: dict, located: Located, *, monitor: Monitor) -> None:
     """Write report.html, and result.json with the same numbers and all files of the folder."""
     outputs = sorted([*files_below(folder), "report.html", "result.json"])
     report = jsonable({**_numbers(command, located), "outputs": outputs})

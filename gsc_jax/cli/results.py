@@ -105,10 +105,8 @@ def read_results(folder: str | Path, *, max_bytes: int | None = None) -> Results
     ):
         if not same:
             raise InputError(f"{folder / name}: result.json is of a different run; {AGAIN}")
-    tamper, labels = tamper.astype(np.float32), labels.astype(bool)
-    return Results(
-        folder=folder, report=report, scene=scene, tamper=tamper, labels=labels, cameras=cameras
-    )
+    by_row = {"tamper": tamper.astype(np.float32), "labels": labels.astype(bool)}
+    return Results(folder=folder, report=report, scene=scene, cameras=cameras, **by_row)
 
 
 def result_file(folder: Path, name: str | Path) -> Path:

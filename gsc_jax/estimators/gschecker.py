@@ -81,9 +81,8 @@ class GSChecker(Estimator):
         warnings = list(finding.warnings)
         if prior is not None:
             warnings.append(f"The prior was not used: {self.name} uses masks only.")
-        return dataclasses.replace(
-            finding, attribute=attribute, group_sizes=group_sizes, warnings=warnings
-        )
+        optimised = {"attribute": attribute, "group_sizes": group_sizes}
+        return dataclasses.replace(finding, **optimised, warnings=warnings)
 
     def initial_attribute(self, observation: Observation) -> np.ndarray:
         """Initial attribute of N Gaussians from the votes (eq. 6), shape (N,) float32.
@@ -94,9 +93,7 @@ class GSChecker(Estimator):
         seen = observation.evidence.seen
         return np.where(seen, CONSENSUS[self.consensus](observation.votes), np.float32(0))
 
-    def _optimise(
-        self, observation: Observation, r: Array, F: Array
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def _optimise(self, observation: Observation, r: Array, F: Array) -> tuple[np.ndarray, ...]:
         """Raw attribute (N,), and group sizes of all iterations."""
         cameras = observation.cameras
         order = view_order(len(cameras), epochs=self.epochs, shuffle=self.shuffle, seed=self.seed)

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from gsc_jax.scene import Camera, InputError
+from gsc_jax.scene import Array, Camera, InputError
 
 ROUNDING = 1e-3
 """Accepted excess over [0, 1], about the rounding of float16 near 1 (machine epsilon 9.8e-4)."""
@@ -58,9 +58,7 @@ def fit_to_view(probability: Any, camera: Camera) -> np.ndarray:
     return resize_bilinear(output, (camera.height, camera.width)).clip(0.0, 1.0)
 
 
-def resize_bilinear(
-    image: np.ndarray, size: tuple[int, int], *, low_pass: bool = True
-) -> np.ndarray:
+def resize_bilinear(image: Array, size: tuple[int, int], *, low_pass: bool = True) -> np.ndarray:
     """Resize (h, w) or (h, w, D) bilinearly, by default after a low-pass filter if it shrinks.
 
     Beyond the border, it has the values at the border.

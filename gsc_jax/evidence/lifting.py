@@ -154,9 +154,7 @@ def sparse(evidence: Evidence) -> np.ndarray:
     return np.stack([rows, total[rows].view(np.int32), tampered[rows].view(np.int32)])
 
 
-def _find(
-    entries: np.ndarray, wanted: np.ndarray, *, consecutive: bool
-) -> tuple[np.ndarray, np.ndarray]:
+def _find(entries: np.ndarray, wanted: np.ndarray, *, consecutive: bool) -> tuple[np.ndarray, ...]:
     """Which of the wanted rows a view shows, (K,), and the bits of their evidence, (2, K)."""
     rows = entries[0]
     if not (len(rows) and len(wanted)):

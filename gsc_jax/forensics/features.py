@@ -14,7 +14,7 @@ import numpy as np
 from gsc_jax.evidence.storage import ArrayStore
 from gsc_jax.forensics.copy_move import APPEARANCE_RADIUS, nearest_duplicates
 from gsc_jax.render.spherical_harmonics import Y0
-from gsc_jax.scene import Gaussians
+from gsc_jax.scene import Array, Gaussians
 from gsc_jax.scene.neighbours import Neighbourhoods, neighbourhoods
 from gsc_jax.scene.parallel import in_blocks, workers
 from gsc_jax.scene.statistics import median_and_mad
@@ -130,9 +130,7 @@ def _with_surroundings(own: np.ndarray, around: Neighbourhoods) -> ArrayStore:
     return store
 
 
-def _groups(
-    gaussians: Gaussians, around: Neighbourhoods, reach: np.ndarray
-) -> dict[str, np.ndarray]:
+def _groups(gaussians: Gaussians, around: Neighbourhoods, reach: Array) -> dict[str, np.ndarray]:
     """Numbers by group, each of shape (N, D); `reach` are the distances to the neighbours."""
     logs = -np.sort(-np.asarray(gaussians.log_scales, np.float32), axis=1)
     spacing = np.log(reach.mean(axis=1) + 1e-12)

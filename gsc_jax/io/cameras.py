@@ -47,13 +47,15 @@ def save_cameras(path: str | Path, cameras: Sequence[Camera]) -> None:
     """Write a cameras.json in the INRIA layout, with `cx` and `cy` if they are not the centre.
 
     Args:
-        path: The file to write or to replace.
+        path: The file to write or to replace, a .json.
         cameras: Cameras without skew.
 
     Raises:
         InputError: If the file cannot be written, or could not be read again: there are no
             cameras, two have the same name, or one has a pose or intrinsics that are invalid.
     """
+    if Path(path).suffix.lower() != ".json":
+        raise InputError(f"{path}: not written: cameras are read from a .json; rename it")
     try:
         items = [inria_item(camera, index) for index, camera in enumerate(cameras)]
         _checked(read_inria(items, Path(path)), path)

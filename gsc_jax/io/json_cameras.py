@@ -71,6 +71,10 @@ def pinhole(
     of the image. A pose that is not rigid, or numbers beyond float32, raise ValueError.
     """
     rotation, position = camera_to_world[:3, :3], camera_to_world[:3, 3]
+    if len(camera_to_world) == 4 and not np.allclose(last := camera_to_world[3], [0, 0, 0, 1]):
+        raise ValueError(
+            f"the last row of the pose is {last.tolist()}, expected 0, 0, 0, 1; is it transposed?"
+        )
     center = [n / 2 if x is None else x for x, n in zip(center, size, strict=True)]
     largest = np.abs([*rotation.flat, *position, *focal, *center]).max()
     if not (largest <= MAX_MAGNITUDE and min(focal) >= 1 / MAX_MAGNITUDE):  # also of NaN

@@ -165,6 +165,8 @@ def save_parts(
     scores: np.ndarray | None = None,
 ) -> None:
     """Write the Gaussians that `part` gives for rows of a scene, if they could be read again."""
+    if Path(path).suffix.lower() in compressed.SUFFIXES:
+        raise InputError(f"{path}: not written: this is another format than .ply; rename it")
     if 3 * np.shape(gaussians.sh)[1] - 3 not in REST_COUNTS or not usable_rows(gaussians).any():
         raise InputError(
             f"{path}: not written: expected Gaussians that can be rendered, of degree 0 to 3, "
@@ -206,6 +208,8 @@ def _checked_header(path: Path, max_bytes: int | None) -> bytes:
     if tool := next((tool for magic, tool in PACKED.items() if header.startswith(magic)), None):
         raise InputError(f"{path}: is packed; unpack it first: {tool} {shown(path.name)}")
     if not header.startswith(b"ply") or not end:
+        if header.startswith(b"version https://git-lfs"):
+            raise InputError(f"{path}: is a pointer of git-lfs; get the file with git lfs pull")
         raise ValueError(f"no header from ply to end_header in its first {MAX_HEADER_BYTES} bytes")
     needed, rows = BYTES_PER_BYTE * size, 0
     number = BYTES_PER_NUMBER if header.split()[1:3] == [b"format", b"ascii"] else 0

@@ -6,6 +6,7 @@ precedence. A focal length is `fl_x` or follows from `camera_angle_x`; without `
 is read from the image file if that lies in the folder of the transforms.json.
 """
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
@@ -19,10 +20,12 @@ from gsc_jax.io.masks import open_image
 from gsc_jax.io.validation import shown
 from gsc_jax.scene import Camera, InputError
 
-DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2", "is_fisheye")
+DISTORTION = (*(f"k{n}" for n in range(1, 7)), *(f"p{n}" for n in range(1, 5)), "skew")
+DISTORTION += ("distortion_params", "is_fisheye")
 PINHOLE_MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE")
 """Camera models that are pinholes if all distortion is zero."""
 
+FOCAL = {"fl_x", "fl_y", "camera_angle_x", "camera_angle_y"}
 OPENGL_TO_OPENCV = np.array([1.0, -1.0, -1.0, 1.0])
 IMAGE_SUFFIXES = ("", ".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")
 
@@ -47,23 +50,29 @@ class _Frame(pydantic.BaseModel):
 def read_transforms(data: Mapping[str, Any], path: Path) -> list[Camera]:
     """Convert a parsed transforms.json; raise InputError if it is invalid.
 
-    Each camera is named by its `file_path` without a leading "./".
+    Each camera is named by its `file_path` without a leading "./", "../" or "/".
     """
     frames = data.get("frames")
     if not isinstance(frames, list):
         raise InputError(f"{path}: holds no list of frames; export the cameras again")
     known = {*_Frame.model_fields, *DISTORTION, "camera_model"}
     shared = {key: data[key] for key in known & data.keys()}
-    items = [{**shared, **frame} if isinstance(frame, dict) else frame for frame in frames]
+    items = [_with_shared(frame, shared) if isinstance(frame, dict) else frame for frame in frames]
     return construct_cameras(
         items, lambda item: _camera(item, path.parent), place=f"{path}: frame", name_key="file_path"
     )
 
 
+def _with_shared(frame: dict[str, Any], shared: Mapping[str, Any]) -> dict[str, Any]:
+    """A frame with what it shares with others; its own focal length or angle excludes both."""
+    own = FOCAL if FOCAL & frame.keys() else ()
+    return {**{key: value for key, value in shared.items() if key not in own}, **frame}
+
+
 def _camera(item: Any, folder: Path) -> Camera:
     frame = _Frame.model_validate(item)
-    found = [key for key in DISTORTION if item.get(key)]
-    if (model := item.get("camera_model", "PINHOLE")) not in PINHOLE_MODELS:
+    found = [key for key in DISTORTION if np.any(item.get(key))]
+    if (model := item.get("camera_model") or "PINHOLE") not in PINHOLE_MODELS:
         found.append(f"camera model {shown(model)}")
     if found:
         raise ValueError(
@@ -75,7 +84,7 @@ def _camera(item: Any, folder: Path) -> Camera:
     y = _focal(frame.fl_y, frame.camera_angle_y, size[1])
     if not (x or y):
         raise ValueError("lacks 'fl_x' and 'camera_angle_x'; export the cameras again")
-    name = frame.file_path.removeprefix("./")
+    name = re.sub(r"^(\.{0,2}/)+", "", frame.file_path)
     pose = np.array(frame.transform_matrix) * OPENGL_TO_OPENCV
     return pinhole(name, pose, focal=(x or y, y or x), center=(frame.cx, frame.cy), size=size)
 

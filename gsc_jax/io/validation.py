@@ -6,7 +6,7 @@ import reprlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
-import pydantic
+from pydantic import ValidationError
 
 from gsc_jax.scene import InputError
 
@@ -16,9 +16,7 @@ UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
 Errors = type[Exception] | tuple[type[Exception], ...]
 
 
-def one_line(
-    error: pydantic.ValidationError, where: str, given: Any, *, known: Iterable[str] = ()
-) -> str:
+def one_line(error: ValidationError, where: str, given: Any, *, known: Iterable[str] = ()) -> str:
     """Describe the first invalid key of the `given` value for which pydantic raised an error.
 
     "net.toml: size: expected greater than 0, found 0", or "net.toml: unknown key 'sise' (did you

@@ -9,7 +9,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from gsc_jax.render.orbit import opaque_means
-from gsc_jax.render.projection import NEAR
+from gsc_jax.render.projection import MIN_ALPHA, NEAR
+from gsc_jax.render.spherical_harmonics import Y0
 from gsc_jax.scene import Camera, Gaussians, InputError
 from gsc_jax.scene.gaussians import check_shapes
 
@@ -18,6 +19,8 @@ MAX_POINTS = 20_000
 MIN_SHARE, LOW_SHARE = 0.01, 0.1
 """Shares of the Gaussians, seen by all cameras together, below which the check fails or warns; the
 cameras of a real capture see most of its scene."""
+MAX_COLOUR = 5
+"""Base colour, less one half, beyond which it can hardly be meant; trained scenes stay below 3."""
 MAX_BLIND = 1 / 3
 """Share of cameras that see too little, above which they are said to be of another scene."""
 
@@ -100,8 +103,8 @@ def _better_convention(points: np.ndarray, cameras: Sequence[Camera]) -> str:
 
 
 def storage_warnings(gaussians: Gaussians, points: np.ndarray) -> dict[str, str]:
-    """Warn of scales that were stored without logarithm, and of positions that float32 rounds."""
-    found, log_scales = {}, np.asarray(gaussians.log_scales)
+    """Warn of numbers that were not stored as usual, and of positions that float32 rounds."""
+    found, log_scales = _colour_warnings(gaussians), np.asarray(gaussians.log_scales)
     extent = np.ptp(np.percentile(points, [10, 90], axis=0), axis=0).max()
     size = np.exp(np.median(log_scales))
     if np.mean(log_scales >= 0) >= 0.99 and size >= 0.05 * extent:
@@ -115,6 +118,24 @@ def storage_warnings(gaussians: Gaussians, points: np.ndarray) -> dict[str, str]
             f"positions {distance:.0e} from the origin are rounded to steps of {step:.2g}, while "
             f"Gaussians have a size of {size:.2g}; export scene and cameras near the origin"
         )
+    return found
+
+
+def _colour_warnings(gaussians: Gaussians) -> dict[str, str]:
+    """Warn of opacities that were not stored as log odds, and of colours in 0 to 255."""
+    found, logits = {}, np.asarray(gaussians.logit_opacities)
+    low, high = logits.min(), logits.max()
+    if 0 <= low < high and (high <= 1 or 20 < np.median(logits) < 256):
+        found["linear opacities"] = (
+            f"all opacities are from 0 to {1 if high <= 1 else 255}: they may not have been stored "
+            "as log odds"
+        )
+    if (np.asarray(gaussians.opacities) < MIN_ALPHA).all():
+        found["all invisible"] = (
+            "no Gaussian can be seen: all opacities are below 1/255; are they stored as log odds?"
+        )
+    if np.mean(np.abs(Y0 * np.asarray(gaussians.sh)[:, 0]).max(axis=1) > MAX_COLOUR) > 0.5:
+        found["8-bit colours"] = "most base colours are far beyond 0 to 1; are they in 0 to 255?"
     return found
 
 

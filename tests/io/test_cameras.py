@@ -89,6 +89,12 @@ def test_other_files_are_refused(tmp_path, name, content, problem):
     assert str(error.value).startswith(f"{path}: ")
 
 
+def test_cameras_are_written_to_a_json_only(tmp_path):
+    with pytest.raises(InputError, match=r"cameras\.txt: not written: .* from a \.json"):
+        save_cameras(tmp_path / "cameras.txt", [random_camera()])
+    assert not list(tmp_path.iterdir())
+
+
 def changed(**changes) -> list:
     return [dataclasses.replace(random_camera(), **changes)]
 

@@ -24,6 +24,7 @@ quick = settings(deadline=None, max_examples=30)
     ("content", "problem"),
     [
         (b"", "not a PLY file"),
+        (b"version https://git-lfs.github.com/spec/v1\n", "pointer of git-lfs; .* git lfs pull"),
         (b"\x89PNG\r\n\x1a\n\xff\xfe", "not a PLY file"),
         (b"ply\nformat binary_little_endian 1.0\n", "not a PLY file"),
         (b"ply\nformat ascii 1.0\nelement vertex 1\nproperty half x\nend_header\n1\n", "half"),
@@ -148,3 +149,10 @@ def test_empty_lists_take_much_more_memory_than_their_bytes(tmp_path):
     assert read_ply(path, max_bytes=2_000_000).total == 7
     with pytest.raises(InputError, match="of memory"):
         read_ply(path, max_bytes=500_000)
+
+
+@pytest.mark.parametrize("name", ["scene.splat", "scene.SPZ", "scene.glb"])
+def test_a_suffix_of_another_format_is_not_written(tmp_path, name):
+    with pytest.raises(InputError, match=rf"{name}: not written: .* another format than \.ply"):
+        save_ply(tmp_path / name, random_scene(3))
+    assert not list(tmp_path.iterdir())

@@ -9,6 +9,7 @@ from gsc_jax.io.cameras import load_cameras
 from gsc_jax.io.masks import write_image
 from gsc_jax.scene import InputError
 
+TRANSPOSED = np.transpose(opengl_frame(random_camera())["transform_matrix"]).tolist()
 SIZE, MIRROR = {"w": 2, "h": 2}, np.diag([-1, 1, 1, 1]).tolist()
 FRAME, SHARED = opengl_frame(random_camera()), opengl_intrinsics(random_camera())
 
@@ -49,6 +50,30 @@ def test_angles_per_axis_and_matrices_of_three_rows_are_accepted(tmp_path):
     assert_same(load_cameras(write_json(tmp_path / "transforms.json", data))[0], expected)
 
 
+@pytest.mark.parametrize("own", ["fl_x", "camera_angle_x"])
+def test_a_focal_length_or_angle_of_a_frame_excludes_those_of_all(tmp_path, own):
+    focal, size = 300.0, {"w": 640, "h": 400}
+    value = focal if own == "fl_x" else 2 * np.arctan(320 / focal)
+    shared = {"fl_x": 500.0, "fl_y": 500.0, "camera_angle_x": 1.0, "camera_angle_y": 1.0}
+    frames = [FRAME | {own: value}, FRAME | {"file_path": "other.png"}]
+    path = write_json(tmp_path / "transforms.json", {**shared, **size, "frames": frames})
+    for camera, expected in zip(load_cameras(path), (focal, 500.0), strict=True):
+        np.testing.assert_allclose(np.diag(camera.K)[:2], expected, rtol=1e-6)
+
+
+def test_coefficients_of_zero_are_no_distortion(tmp_path):
+    plain = {"distortion_params": [0.0] * 6, "skew": 0, "p1": None, "camera_model": None}
+    path = write_json(tmp_path / "transforms.json", SHARED | plain | {"frames": [FRAME]})
+    assert_same(load_cameras(path)[0], random_camera())
+
+
+@pytest.mark.parametrize("name", ["./a/b.png", "../a/b.png", "../../a/b.png", "/a/b.png"])
+def test_a_camera_is_named_by_its_path_without_leading_dots(tmp_path, name):
+    data = SHARED | {"frames": [FRAME | {"file_path": name}]}
+    (camera,) = load_cameras(write_json(tmp_path / "transforms.json", data))
+    assert camera.name == "a/b.png"
+
+
 @pytest.mark.parametrize(
     ("data", "problem"),
     [
@@ -60,12 +85,15 @@ def test_angles_per_axis_and_matrices_of_three_rows_are_accepted(tmp_path):
         (SHARED | {"frames": [FRAME | {"transform_matrix": [[1]]}]}, "transform_matrix"),
         (SHARED | {"frames": [FRAME], "k1": 0.1}, r"distorted \(k1\).*undistort"),
         (SHARED | {"frames": [FRAME | {"p2": 1e-3}]}, r"distorted \(p2\)"),
+        (SHARED | {"frames": [FRAME], "distortion_params": [0.0, 0.1]}, r"\(distortion_params\)"),
+        (SHARED | {"frames": [FRAME | {"skew": 2.0}]}, r"distorted \(skew\)"),
         (SHARED | {"frames": [FRAME], "camera_model": "OPENCV_FISHEYE"}, "OPENCV_FISHEYE"),
         (SHARED | {"frames": [FRAME], "is_fisheye": True}, "fisheye"),
         ({"fl_x": 1, "frames": [FRAME]}, "lacks 'w' and 'h'"),
         (SIZE | {"frames": [FRAME]}, "lacks 'fl_x' and 'camera_angle_x'"),
         (SIZE | {"camera_angle_x": 60, "frames": [FRAME]}, "camera_angle_x: .* found 60"),
         (SHARED | {"frames": [FRAME | {"transform_matrix": MIRROR}]}, "contains a reflection"),
+        (SHARED | {"frames": [FRAME | {"transform_matrix": TRANSPOSED}]}, "last row .* transposed"),
     ],
 )
 def test_invalid_frames_are_named(tmp_path, data, problem):

@@ -134,3 +134,24 @@ def test_real_cameras_and_orbits_see_real_scenes(name):
     assert check_views(scene, orbit_cameras(scene, 12)) == []
     flipped = converted(cameras, lambda viewmat: FLIP @ viewmat)
     assert "OpenGL axes" in last_message(scene, flipped)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (
+            {"logit_opacities": np.linspace(0, 1, 400, dtype=np.float32)},
+            "are from 0 to 1:",
+        ),
+        ({"logit_opacities": np.arange(0, 200, 0.5, np.float32)}, "are from 0 to 255:"),
+        ({"logit_opacities": np.full(400, -20, np.float32)}, "no Gaussian can be seen"),
+        ({"logit_opacities": np.full(400, -np.inf, np.float32)}, "no Gaussian can be seen"),
+        ({"sh": np.full((400, 1, 3), 100, np.float32)}, "are they in 0 to 255?"),
+    ],
+)
+def test_opacities_and_colours_in_other_units_give_a_warning(change, told):
+    scene = random_scene(400)
+    changed = dataclasses.replace(scene, **change)
+    (warning,) = storage_warnings(changed, np.asarray(scene.means)).values()
+    assert told in warning
+    assert any(told in warning for warning in check_views(changed, orbit_cameras(scene, 4)))

@@ -31,9 +31,7 @@ COUNTS = {
 """Title of each entry of `counts` in result.json."""
 
 
-def report_page(
-    folder: Path, report: Mapping[str, Any], located: Located, *, monitor: Monitor
-) -> str:
+def report_page(folder: Path, report: dict[str, Any], located: Located, *, monitor: Monitor) -> str:
     """Render the page of a run, whose images are in `folder`, with the content of result.json."""
     result, counts, views = located.result, report["counts"], report["per_view"]
     found = thumbnails(folder, [view["name"] for view in views])

@@ -166,7 +166,7 @@ class RobustEstimator(Estimator):
         sums = gaussian_visibility.summed_visibility(evidence, self.half_weight)
         seen, fits, sample = sums[0] > 0, [], ()
         if flagged and seen.any():
-            rows, represents = gaussian_visibility.stratified_sample(*sums, self.sample)
+            rows, represents = gaussian_visibility.stratified_sample(sums[0], sums[1], self.sample)
             sample = *gaussian_visibility.visibility(evidence, rows, self.half_weight), represents
             fits = self._roles_by_fit(*sample)
         if not fits:

@@ -21,19 +21,15 @@ def visibility(
     return total * scale, tampered * scale
 
 
-def summed_visibility(
-    evidence: EvidenceOfViews, half_weight: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """`visibility` of all Gaussians summed over the views, shapes (N,)."""
+def summed_visibility(evidence: EvidenceOfViews, half_weight: float) -> np.ndarray:
+    """`visibility` of all Gaussians summed over the views, and its flagged part, shape (2, N)."""
     sums = np.empty((2, evidence.shape[1]), np.float32)
     for block in blocks(evidence.shape[1], BLOCK):
         sums[:, block] = [part.sum(axis=0) for part in visibility(evidence, block, half_weight)]
-    return sums[0], sums[1]
+    return sums
 
 
-def stratified_sample(
-    seen: np.ndarray, flagged: np.ndarray, size: int
-) -> tuple[np.ndarray, np.ndarray]:
+def stratified_sample(seen: np.ndarray, flagged: np.ndarray, size: int) -> tuple[np.ndarray, ...]:
     """Sample at most `size` Gaussians, half of them in proportion to how much of them is flagged.
 
     Given the visibility summed over the views and the flagged part of it, both (N,). The sample is

@@ -10,23 +10,18 @@ import mmap
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 from gsc_jax.io.files import content_digest, existing_file
 from gsc_jax.io.validation import reported
 from gsc_jax.scene import InputError
 
-if TYPE_CHECKING:
-    from onnxruntime import InferenceSession
-
 CPU = ("CPUExecutionProvider",)
 SUFFIX = "ExecutionProvider"
 
 
-def open_session(
-    path: Path, *, providers: Sequence[str] = CPU, threads: int = 0
-) -> "InferenceSession":
-    """Load an ONNX model; its session prints nothing.
+def open_session(path: Path, *, providers: Sequence[str] = CPU, threads: int = 0) -> Any:
+    """Load an ONNX model as an `InferenceSession` of onnxruntime, which prints nothing.
 
     The execution providers are in order of preference, by full or short name ("cuda"); the CPU runs
     the operations that they lack. An inference has `threads`, 0 for all cores. InputError if the

@@ -15,6 +15,7 @@ from pydantic import BeforeValidator, Field, FiniteFloat
 
 from gsc_jax.io.validation import one_line, shown
 from gsc_jax.scene import Camera, InputError
+from gsc_jax.scene.camera import rotation_problem
 from gsc_jax.scene.gaussians import MAX_MAGNITUDE
 
 MAX_SIDE_PIXELS = 1_000_000
@@ -84,7 +85,7 @@ def pinhole(
         )
     if not 1 <= min(size) <= max(size) <= MAX_SIDE_PIXELS:
         raise ValueError(f"an image of {size[0]} x {size[1]} pixels; export the cameras again")
-    if problem := _rotation_problem(rotation):
+    if problem := rotation_problem(rotation, ORTHONORMAL_TOLERANCE):
         raise ValueError(
             f"the camera-to-world rotation {problem}, expected an orthonormal matrix of "
             "determinant 1; export the poses again without it"
@@ -93,17 +94,6 @@ def pinhole(
     viewmat[:3] = np.column_stack([rotation.T, -rotation.T @ position])
     K[:2, 2] = center
     return Camera(viewmat=viewmat, K=K, width=size[0], height=size[1], name=name)
-
-
-def _rotation_problem(rotation: np.ndarray) -> str:
-    """Reason why a matrix is not a rotation; empty if it is one."""
-    gram = rotation.T @ rotation
-    scale = np.sqrt(np.trace(gram) / 3)
-    if np.abs(gram - scale**2 * np.eye(3)).max() > ORTHONORMAL_TOLERANCE * max(1.0, scale**2):
-        return "is skewed or scaled unevenly"
-    if abs(scale**2 - 1) > ORTHONORMAL_TOLERANCE:
-        return f"contains a scale of {scale:.4g}"
-    return "contains a reflection" if np.linalg.det(rotation) < 0 else ""
 
 
 class _Item(pydantic.BaseModel):

@@ -21,10 +21,10 @@ LISTS = (".txt", ".lst", ".list")
 def read_manifest(source: Path) -> list[Entry]:
     """List the scenes of a source, sorted by id for a folder and a glob.
 
-    A source is a folder, searched to any depth; a glob; a text file with a path or address per
-    line; or a .csv or .parquet with a column `path`, optionally `id`, `cameras` and `masks`, and
-    any others. Relative paths are relative to the manifest. InputError if there is no scene, two
-    have one id, or a manifest cannot be read.
+    A source is a folder, searched to any depth; a glob; a text file with a path, an address or a
+    comment (#) per line; or a .csv or .parquet with a column `path`, optionally `id`, `cameras` and
+    `masks`, and any others. Relative paths are relative to the manifest. InputError if there is no
+    scene, two have one id, or a manifest cannot be read.
     """
     suffix = source.suffix.lower()
     if source.is_dir():
@@ -36,7 +36,7 @@ def read_manifest(source: Path) -> list[Entry]:
         rows = _rows(source)
     elif suffix in LISTS:
         text = existing_file(source, expected="a list").read_text("utf-8", "surrogateescape")
-        rows = [{"path": line.strip()} for line in text.splitlines() if line.strip()]
+        rows = [{"path": x} for line in text.splitlines() if (x := line.strip()) and x[0] != "#"]
     else:
         existing_file(source, expected="a folder, a glob, a list (.txt), a .csv or a .parquet")
         rows = _files([source])

@@ -31,7 +31,7 @@ def test_a_folder_and_a_glob(folder):
 
 
 def test_a_list_is_relative_to_itself_and_keeps_addresses(folder):
-    (folder / "list.txt").write_text("a.ply\n\ns3://bucket/d.ply\n")
+    (folder / "list.txt").write_text("# scenes\na.ply\n\n  # more\ns3://bucket/d.ply\n")
     entries = read_manifest(folder / "list.txt")
     assert ids(entries) == ["a.ply", "s3://bucket/d.ply"]
     assert [entry["path"] for entry in entries] == [str(folder / "a.ply"), "s3://bucket/d.ply"]

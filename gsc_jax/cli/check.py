@@ -163,7 +163,7 @@ def _extremes(
     yield "warning", "huge", huge, "larger than the scene; haze, or a wall before the camera"
     yield "warning", "copies", copies, "exact copies of others, which are blended twice"
     wild = np.abs(Y0 * np.asarray(gaussians.sh)[:, 0]).max(axis=1) > MAX_COLOUR
-    yield "warning", "colours", wild, "base colours far beyond 0 to 1; are they in 0 to 255?"
+    yield "warning", "colours", wild, "base colours far beyond 0 to 1"
     yield "note", "needles", ratio > NEEDLE, "needles; they flicker at low resolution"
     yield "note", "flat", scales[:, 2] < FLAT * spread, "too small to be seen"
     invisible = np.asarray(gaussians.opacities) < MIN_ALPHA

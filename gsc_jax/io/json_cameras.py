@@ -15,7 +15,6 @@ from pydantic import BeforeValidator, Field, FiniteFloat
 
 from gsc_jax.io.validation import one_line, shown
 from gsc_jax.scene import Camera, InputError
-from gsc_jax.scene.camera import rotation_problem
 from gsc_jax.scene.gaussians import MAX_MAGNITUDE
 
 MAX_SIDE_PIXELS = 1_000_000
@@ -72,10 +71,8 @@ def pinhole(
     of the image. A pose that is not rigid, or numbers beyond float32, raise ValueError.
     """
     rotation, position = camera_to_world[:3, :3], camera_to_world[:3, 3]
-    if len(camera_to_world) == 4 and not np.allclose(last := camera_to_world[3], [0, 0, 0, 1]):
-        raise ValueError(
-            f"the last row of the pose is {last.tolist()}, expected 0, 0, 0, 1; is it transposed?"
-        )
+    if np.abs(camera_to_world[3:] - [0, 0, 0, 1]).max(initial=0) > 1e-4:
+        raise ValueError("the last row of the pose is not 0, 0, 0, 1; is it transposed?")
     center = [n / 2 if x is None else x for x, n in zip(center, size, strict=True)]
     largest = np.abs([*rotation.flat, *position, *focal, *center]).max()
     if not (largest <= MAX_MAGNITUDE and min(focal) >= 1 / MAX_MAGNITUDE):  # also of NaN
@@ -85,7 +82,7 @@ def pinhole(
         )
     if not 1 <= min(size) <= max(size) <= MAX_SIDE_PIXELS:
         raise ValueError(f"an image of {size[0]} x {size[1]} pixels; export the cameras again")
-    if problem := rotation_problem(rotation, ORTHONORMAL_TOLERANCE):
+    if problem := _rotation_problem(rotation):
         raise ValueError(
             f"the camera-to-world rotation {problem}, expected an orthonormal matrix of "
             "determinant 1; export the poses again without it"
@@ -94,6 +91,17 @@ def pinhole(
     viewmat[:3] = np.column_stack([rotation.T, -rotation.T @ position])
     K[:2, 2] = center
     return Camera(viewmat=viewmat, K=K, width=size[0], height=size[1], name=name)
+
+
+def _rotation_problem(rotation: np.ndarray) -> str:
+    """Reason why a matrix is not a rotation; empty if it is one."""
+    gram = rotation.T @ rotation
+    scale = np.sqrt(np.trace(gram) / 3)
+    if np.abs(gram - scale**2 * np.eye(3)).max() > ORTHONORMAL_TOLERANCE * max(1.0, scale**2):
+        return "is skewed or scaled unevenly"
+    if abs(scale**2 - 1) > ORTHONORMAL_TOLERANCE:
+        return f"contains a scale of {scale:.4g}"
+    return "contains a reflection" if np.linalg.det(rotation) < 0 else ""
 
 
 class _Item(pydantic.BaseModel):

@@ -25,7 +25,7 @@ DISTORTION += ("distortion_params", "is_fisheye")
 PINHOLE_MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE")
 """Camera models that are pinholes if all distortion is zero."""
 
-FOCAL = {"fl_x", "fl_y", "camera_angle_x", "camera_angle_y"}
+FOCAL_X, FOCAL_Y = {"fl_x", "camera_angle_x"}, {"fl_y", "camera_angle_y"}
 OPENGL_TO_OPENCV = np.array([1.0, -1.0, -1.0, 1.0])
 IMAGE_SUFFIXES = ("", ".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")
 
@@ -64,8 +64,9 @@ def read_transforms(data: Mapping[str, Any], path: Path) -> list[Camera]:
 
 
 def _with_shared(frame: dict[str, Any], shared: Mapping[str, Any]) -> dict[str, Any]:
-    """A frame with what it shares with others; its own focal length or angle excludes both."""
-    own = FOCAL if FOCAL & frame.keys() else ()
+    """A frame with what all share; its own focal length or angle excludes those: along x, all."""
+    frame = {key: value for key, value in frame.items() if value is not None}
+    own = FOCAL_X | FOCAL_Y if FOCAL_X & frame.keys() else FOCAL_Y if FOCAL_Y & frame.keys() else ()
     return {**{key: value for key, value in shared.items() if key not in own}, **frame}
 
 

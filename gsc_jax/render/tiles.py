@@ -19,12 +19,15 @@ from scipy.sparse import csr_array
 
 from gsc_jax.render.projection import NEAR, Splats, project
 from gsc_jax.scene import Array, Camera, Gaussians, InputError
+from gsc_jax.scene.gaussians import bucket
 from gsc_jax.scene.pytree import STATIC
 
 TILE = 8
 """Side of a tile in pixels."""
 MAX_INTERSECTIONS = 2**28
 """Most pairs of a splat and a tile that it touches in a view: more would not fit into memory."""
+FEW_GROUPS = 256
+"""Groups up to which padding to a power of two takes hardly any time; JAX compiles for fewer."""
 CPU_LOCKSTEPS, MIN_GROUPS = (48, 24, 12), 8
 """Tiles in a group on a CPU: the first of these sizes that gives at least `MIN_GROUPS` groups. XLA
 divides the steps of larger groups among its threads, which costs more than it gains, and compiles
@@ -115,8 +118,9 @@ def bin_view(
     lists = bin_splats(known, camera.width, camera.height, touching)
     tiles = len(lists.counts)
     lockstep = _tiles_in_group(lockstep, tiles)
-    padded = _power_of_four(-(-tiles // lockstep)) * lockstep
-    size = _power_of_four(max(4**6, lists.total))
+    groups = -(-tiles // lockstep)
+    groups = 1 << (groups - 1).bit_length() if groups <= FEW_GROUPS else bucket(groups)
+    size = 4 ** max(6, -(-(lists.total - 1).bit_length() // 2))  # few different ones
     return View(
         splats=table,
         ids=jnp.asarray(np.pad(lists.ids, (0, size - len(lists.ids)))),
@@ -124,13 +128,8 @@ def bin_view(
         width=camera.width,
         height=camera.height,
         lockstep=lockstep,
-        **_longest_first(lists.starts, lists.counts, padded),
+        **_longest_first(lists.starts, lists.counts, groups * lockstep),
     )
-
-
-def _power_of_four(count: int) -> int:
-    """The next power of four: JAX compiles for few sizes, and padding takes hardly any time."""
-    return 4 ** -(-(count - 1).bit_length() // 2)
 
 
 def _tiles_in_group(lockstep: int | None, tiles: int) -> int:

@@ -1,6 +1,5 @@
 """The cameras of a path are unambiguous, and saved cameras are read back unchanged."""
 
-import contextlib
 import dataclasses
 import json
 
@@ -157,23 +156,11 @@ def test_any_focal_length_and_the_skew_of_rounding_are_those_of_a_camera(focal):
     check_camera(dataclasses.replace(camera, K=K))
 
 
-@pytest.mark.parametrize(
-    ("factors", "problem"),
-    [
-        ((1, 1, 1), None),
-        ((0.97, 1.03, 1), None),
-        ((2, 2, 2), "contains a scale of 2"),
-        ((1, 1, -1), "contains a reflection"),
-        ((1, 0, 1), "is skewed or scaled unevenly"),
-        ((0, 0, 0), "contains a scale of 0"),
-    ],
-)
-def test_a_pose_in_memory_is_a_rigid_motion(factors, problem):
-    camera = random_camera()
-    viewmat = np.diag([*factors, 1]).astype(np.float32) @ camera.viewmat
-    refused = pytest.raises(InputError, match=f"viewmat must be a rigid motion, but it {problem}")
-    with refused if problem else contextlib.nullcontext():
-        check_camera(dataclasses.replace(camera, viewmat=viewmat))
+def test_a_pose_that_cannot_be_inverted_is_refused():
+    viewmat = np.eye(4, dtype=np.float32)
+    viewmat[1, :3] = 0
+    with pytest.raises(InputError, match="invertible"):
+        check_camera(dataclasses.replace(random_camera(), viewmat=viewmat))
 
 
 @pytest.mark.parametrize(

@@ -61,6 +61,23 @@ def test_a_focal_length_or_angle_of_a_frame_excludes_those_of_all(tmp_path, own)
         np.testing.assert_allclose(np.diag(camera.K)[:2], expected, rtol=1e-6)
 
 
+def test_a_focal_length_along_y_excludes_that_of_all_and_null_excludes_nothing(tmp_path):
+    shared = {"w": 640, "h": 400, "fl_x": 500.0, "camera_angle_y": 1.0, "k1": 0.0}
+    frame = FRAME | {"fl_y": 400.0, "camera_angle_x": None, "k1": None}
+    path = write_json(tmp_path / "transforms.json", {**shared, "frames": [frame]})
+    np.testing.assert_allclose(np.diag(load_cameras(path)[0].K), [500, 400, 1], rtol=1e-6)
+    data = {**shared, "k1": 0.1, "frames": [frame]}
+    with pytest.raises(InputError, match=r"distorted \(k1\)"):
+        load_cameras(write_json(tmp_path / "distorted.json", data))
+
+
+def test_a_last_row_may_be_rounded(tmp_path):
+    matrix = np.array(FRAME["transform_matrix"], np.float64)
+    matrix[3] += (1e-6, -1e-6, 0, 2e-5)
+    data = SHARED | {"frames": [FRAME | {"transform_matrix": matrix.tolist()}]}
+    assert_same(load_cameras(write_json(tmp_path / "transforms.json", data))[0], random_camera())
+
+
 def test_coefficients_of_zero_are_no_distortion(tmp_path):
     plain = {"distortion_params": [0.0] * 6, "skew": 0, "p1": None, "camera_model": None}
     path = write_json(tmp_path / "transforms.json", SHARED | plain | {"frames": [FRAME]})

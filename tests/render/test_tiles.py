@@ -174,3 +174,14 @@ def test_scenes_with_too_many_intersections_are_refused():
     everywhere = blobs(np.tile([[0.0, 0.0, 2.0]], (30_000, 1)), scale=1e3)
     with pytest.raises(InputError, match="scales right"):
         make_view(everywhere, camera(960, 720))
+
+
+def test_padding_is_bounded_and_views_of_moderate_sizes_have_one_number_of_groups():
+    scene = random_scene(5)
+    sizes = [(640, 420), (560, 367), (736, 483), (800, 480)]
+    views = [make_view(scene, camera(*size), lockstep=48) for size in sizes]
+    assert {len(view.tiles) for view in views} == {128 * 48}
+    for width, height in ((1200, 690), (1600, 1064), (1792, 1792)):
+        tiles = -(-width // TILE) * -(-height // TILE)
+        padded = len(make_view(scene, camera(width, height), lockstep=48).tiles)
+        assert tiles <= padded <= 1.25 * tiles + 48

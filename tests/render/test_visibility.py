@@ -143,7 +143,7 @@ def test_real_cameras_and_orbits_see_real_scenes(name):
             {"logit_opacities": np.linspace(0, 1, 400, dtype=np.float32)},
             "are from 0 to 1:",
         ),
-        ({"logit_opacities": np.arange(0, 200, 0.5, np.float32)}, "are from 0 to 255:"),
+        ({"logit_opacities": np.arange(400, dtype=np.float32) % 256}, "are from 0 to 255:"),
         ({"logit_opacities": np.full(400, -20, np.float32)}, "no Gaussian can be seen"),
         ({"logit_opacities": np.full(400, -np.inf, np.float32)}, "no Gaussian can be seen"),
         ({"sh": np.full((400, 1, 3), 100, np.float32)}, "are they in 0 to 255?"),
@@ -155,3 +155,10 @@ def test_opacities_and_colours_in_other_units_give_a_warning(change, told):
     (warning,) = storage_warnings(changed, np.asarray(scene.means)).values()
     assert told in warning
     assert any(told in warning for warning in check_views(changed, orbit_cameras(scene, 4)))
+
+
+@pytest.mark.parametrize("opaque", [40.0, np.inf, 5.54])
+def test_a_scene_of_which_most_is_opaque_gives_no_warning(opaque):
+    logits = np.where(np.arange(400) % 3, np.float32(opaque), np.linspace(0, 5, 400))
+    scene = dataclasses.replace(random_scene(400), logit_opacities=logits.astype(np.float32))
+    assert not storage_warnings(scene, np.asarray(scene.means))

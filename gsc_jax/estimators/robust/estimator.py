@@ -30,7 +30,7 @@ from gsc_jax.scene.parallel import blocks
 
 RANGES: dict[str, tuple[float, float]] = {
     "sample": (1, 10**9),
-    # All starts run at once; memory grows with their number, and with that of the neighbours.
+    # The fits of all starts are kept: memory grows with their number, and that of the neighbours.
     **dict.fromkeys(("restarts", "neighbours"), (1, 1000)),
     **dict.fromkeys(("half_weight", "effective_pixels", "class_log_odds"), (1e-9, 1e9)),
     "smoothing": (0.0, 1e9),

@@ -4,7 +4,7 @@ Two classes, tampered and authentic, cannot explain an authentic region that a d
 many views; several classes can. Class k is flagged in view j with probability q_kj, whatever the
 mask of that view did: find the edit, miss it, be inverted, or flag something else. EM fits the
 rates (Dempster, Laird and Rubin 1977; latent classes: Goodman 1974; unreliable raters: Dawid and
-Skene 1979) from several starts at once; the BIC (Schwarz 1978) compares them.
+Skene 1979) from several starts, which the BIC (Schwarz 1978) compares.
 """
 
 import dataclasses

@@ -17,6 +17,7 @@ from gsc_jax.render.orbit import opaque_means, orbit_cameras
 from gsc_jax.render.up import estimated_up, parse_up, up_text
 from gsc_jax.render.visibility import check_views, storage_warnings
 from gsc_jax.scene import Camera, InputError
+from gsc_jax.scene.gaussians import MAX_MAGNITUDE
 
 ORBIT_VIEWS, PREVIEW_VIEWS = 24, 12
 """Number of cameras on an orbit: one every 15 degrees, or 30 where views only show a result."""
@@ -79,6 +80,8 @@ def _read_cameras(
         known = options.up or stated
         up = parse_up(known) if known else estimated_up(gaussians)
         orbit = orbit_cameras(gaussians, count, up=up, seed=options.seed)
+        if abs(orbit[0].viewmat).max() > MAX_MAGNITUDE:  # before any work: they are written last
+            raise InputError(f"{options.scene}: too large to place cameras around; scale it down")
         indoors = moved_indoors(gaussians, orbit, up)
         cameras, place = indoors or orbit, "in and around the room" if indoors else "on an orbit"
         warnings.append(

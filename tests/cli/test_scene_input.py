@@ -7,10 +7,12 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 from cli_case import FIXTURES, refused, run
+from strategies import random_scene
 
 from gsc_jax.cli.scene_input import check_names, evenly_spaced
 from gsc_jax.io.cameras import load_cameras
 from gsc_jax.io.masks import image_path
+from gsc_jax.io.ply import save_ply
 
 case, found, own_cache = FIXTURES
 
@@ -91,3 +93,12 @@ def test_wide_views_are_computed_at_the_width_of_the_trainer(case, tmp_path):
         assert told == (not options)
         images = [iio.imread(image_path(out, item["img_name"])) for item in items]
         assert tuple(image.shape[:2] for image in images) == shapes
+
+
+def test_a_scene_that_is_too_large_for_placed_cameras_is_refused_before_any_work(tmp_path):
+    scene = random_scene(50)
+    far = np.linspace(-9e8, 9e8, 150, dtype=np.float32).reshape(50, 3)
+    save_ply(tmp_path / "large.ply", dataclasses.replace(scene, means=far))
+    message = refused("locate", tmp_path / "large.ply", "--out", tmp_path / "out")
+    assert "large.ply: too large to place cameras around; scale it down" in message
+    assert not (tmp_path / "out").exists()

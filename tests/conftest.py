@@ -36,7 +36,6 @@ def pytest_configure(config):
     os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
     # By default, the workers of Ray have a low priority, and would wait for the other tests.
     os.environ["RAY_worker_niceness"] = "0"  # noqa: SIM112 - the name that Ray reads
-    cache.MIN_SECONDS = 0
     cache.enable_compilation_cache(cache.cache_folder())
     jax.monitoring.register_event_duration_secs_listener(_count)
     hypothesis.settings.register_profile(

@@ -13,9 +13,6 @@ import platformdirs
 from gsc_jax.io.files import atomic
 from gsc_jax.scene import InputError
 
-MIN_SECONDS = 0.1
-"""Shortest compilation that is stored: reading a file takes a few milliseconds."""
-
 
 def cache_folder() -> Path:
     """Cache folder of this package for the current user, which need not exist."""
@@ -48,5 +45,5 @@ def enable_compilation_cache(folder: Path | str) -> None:
     Changes the configuration of JAX in this process: for programs, not for libraries.
     """
     jax.config.update("jax_compilation_cache_dir", str(folder))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", MIN_SECONDS)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)  # also short ones add up
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)

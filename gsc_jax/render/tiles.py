@@ -27,7 +27,7 @@ TILE = 8
 MAX_INTERSECTIONS = 2**28
 """Most pairs of a splat and a tile that it touches in a view: more would not fit into memory."""
 FEW_GROUPS = 256
-"""Groups up to which padding to a power of two takes hardly any time; JAX compiles for fewer."""
+"""Number of groups up to which padding to a power of two, for which JAX compiles, is cheap."""
 CPU_LOCKSTEPS, MIN_GROUPS = (48, 24, 12), 8
 """Tiles in a group on a CPU: the first of these sizes that gives at least `MIN_GROUPS` groups. XLA
 divides the steps of larger groups among its threads, which costs more than it gains, and compiles

@@ -20,7 +20,7 @@ MIN_SHARE, LOW_SHARE = 0.01, 0.1
 """Shares of the Gaussians, seen by all cameras together, below which the check fails or warns; the
 cameras of a real capture see most of its scene."""
 MAX_COLOUR = 5
-"""Base colour, less one half, which no trained scene has; those of the tests reach 2.6."""
+"""Base colour, less one half, above which it may be in 0 to 255; in test scenes at most 2.6."""
 MAX_BLIND = 1 / 3
 """Share of cameras that see too little, above which they are said to be of another scene."""
 

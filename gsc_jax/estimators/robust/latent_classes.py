@@ -85,7 +85,7 @@ def _fit_all(by_view: _Pixels, by_gaussian: _Pixels, used: Array, keys: Array) -
 
 
 def _fit_one(by_view: _Pixels, by_gaussian: _Pixels, used: Array, key: Array) -> Fit:
-    """Run EM from one start until convergence."""
+    """Run EM from one start until convergence; the pixels are two of (V, S), and two of (S, V)."""
     flagged, clear = by_view
     size = flagged.shape[1]
 

@@ -13,7 +13,7 @@ from gsc_jax.io.masks import image_path
 from gsc_jax.io.ply import PlyScene, read_ply
 from gsc_jax.io.validation import naming
 from gsc_jax.render.interior import moved_indoors
-from gsc_jax.render.orbit import opaque_means, orbit_cameras
+from gsc_jax.render.orbit import FOV_DEGREES, opaque_means, orbit_cameras, scene_extent
 from gsc_jax.render.up import estimated_up, parse_up, up_text
 from gsc_jax.render.visibility import check_views, storage_warnings
 from gsc_jax.scene import Camera, InputError
@@ -79,7 +79,9 @@ def _read_cameras(
         stated = "y" if y_up else "z" if Z_UP_COMMENT in scene.ply.comments else None
         known = options.up or stated
         up = parse_up(known) if known else estimated_up(gaussians)
-        orbit = orbit_cameras(gaussians, count, up=up, seed=options.seed)
+        # Small scenes are seen from as far as is behind the near plane, with a longer focal length.
+        fov = max(60 * min(1, scene_extent(gaussians)[1] / (0.75 * options.near)), FOV_DEGREES[0])
+        orbit = orbit_cameras(gaussians, count, fov_degrees=fov, up=up, seed=options.seed)
         if abs(orbit[0].viewmat).max() > MAX_MAGNITUDE:  # before any work: they are written last
             raise InputError(f"{options.scene}: too large to place cameras around; scale it down")
         indoors = moved_indoors(gaussians, orbit, up)

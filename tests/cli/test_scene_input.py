@@ -102,3 +102,20 @@ def test_a_scene_that_is_too_large_for_placed_cameras_is_refused_before_any_work
     message = refused("locate", tmp_path / "large.ply", "--out", tmp_path / "out")
     assert "large.ply: too large to place cameras around; scale it down" in message
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("factor", [1.0, 0.05, 1e-4])
+def test_placed_cameras_see_a_small_scene_behind_the_near_plane(tmp_path, factor):
+    scene = random_scene(50)
+    log_scales = scene.log_scales + np.float32(np.log(factor))
+    small = dataclasses.replace(
+        scene, means=scene.means * np.float32(factor), log_scales=log_scales
+    )
+    save_ply(tmp_path / "scene.ply", small)
+    out = tmp_path / "views"
+    answer = run("render", tmp_path / "scene.ply", "--views", 3, "--scale", 0.1, "--out", out)
+    assert answer.code == 0
+    assert "near plane" not in answer.err
+    shown = [iio.imread(path).max(axis=-1) > 0 for path in sorted(out.glob("*.png"))]
+    assert len(shown) == 3
+    assert np.mean(shown) > 0.05

@@ -79,7 +79,7 @@ def _read_cameras(
         stated = "y" if y_up else "z" if Z_UP_COMMENT in scene.ply.comments else None
         known = options.up or stated
         up = parse_up(known) if known else estimated_up(gaussians)
-        # Small scenes are seen from as far as is behind the near plane, with a longer focal length.
+        # The near plane would cut a small scene away: it is seen from afar, in a narrower view.
         fov = max(60 * min(1, scene_extent(gaussians)[1] / (0.75 * options.near)), FOV_DEGREES[0])
         orbit = orbit_cameras(gaussians, count, fov_degrees=fov, up=up, seed=options.seed)
         if abs(orbit[0].viewmat).max() > MAX_MAGNITUDE:  # before any work: they are written last

@@ -97,7 +97,7 @@ def _classified(
 
 
 def _traces(sound: Gaussians, computed: features.Features | None, order: np.ndarray) -> list[Trace]:
-    """All traces of Gaussians, given their order in the file; none without features."""
+    """All traces, given the order of the Gaussians in the file; none if there are no features."""
     near = (computed.neighbourhoods.nearest if computed else np.zeros((0, 0), int))[:, :NEIGHBOURS]
     duplicates = computed.duplicates if computed else None
     local = [trace(sound, near) for trace in LOCAL_TRACES]

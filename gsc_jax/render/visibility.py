@@ -20,7 +20,7 @@ MIN_SHARE, LOW_SHARE = 0.01, 0.1
 """Shares of the Gaussians, seen by all cameras together, below which the check fails or warns; the
 cameras of a real capture see most of its scene."""
 MAX_COLOUR = 5
-"""Base colour, less one half, above which it may be in 0 to 255; in test scenes at most 2.6."""
+"""Distance of a base colour from 0.5 above which it may have been stored as 0 to 255."""
 MAX_BLIND = 1 / 3
 """Share of cameras that see too little, above which they are said to be of another scene."""
 
@@ -103,7 +103,7 @@ def _better_convention(points: np.ndarray, cameras: Sequence[Camera]) -> str:
 
 
 def storage_warnings(gaussians: Gaussians, points: np.ndarray) -> dict[str, str]:
-    """Warn of numbers that were not stored as usual, and of positions that float32 rounds."""
+    """Warn of scales, opacities and colours in unusual units, and of positions that are rounded."""
     found, log_scales = _colour_warnings(gaussians), np.asarray(gaussians.log_scales)
     extent = np.ptp(np.percentile(points, [10, 90], axis=0), axis=0).max()
     size = np.exp(np.median(log_scales))

@@ -22,7 +22,7 @@ def visibility(
 
 
 def summed_visibility(evidence: EvidenceOfViews, half_weight: float) -> np.ndarray:
-    """`visibility` of all Gaussians summed over the views, and its flagged part, shape (2, N)."""
+    """Sums over the views of what `visibility` gives for all Gaussians: seen, flagged; (2, N)."""
     sums = np.empty((2, evidence.shape[1]), np.float32)
     for block in blocks(evidence.shape[1], BLOCK):
         sums[:, block] = [part.sum(axis=0) for part in visibility(evidence, block, half_weight)]

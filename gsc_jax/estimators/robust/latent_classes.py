@@ -70,7 +70,7 @@ def fit_classes(
     flagged, clear = (jnp.pad(jnp.asarray(x, jnp.float32), padding) for x in (flagged, clear))
     used = np.repeat(counts, restarts)[:, None] > np.arange(max(counts), dtype=np.int32)
     keys = jax.random.split(jax.random.key(seed), len(used))
-    # Copies: a product with a matrix that XLA has to transpose takes twice as long.
+    # Transposed once, here: if XLA transposes a matrix in each product, that takes twice as long.
     by_view, by_gaussian = (flagged, clear), (flagged.T, clear.T)
     fit = _fit_all(by_view, by_gaussian, jnp.asarray(used, jnp.float32), keys)
     classes = dataclasses.replace(fit.classes, rates=fit.classes.rates[..., :views])
@@ -85,7 +85,7 @@ def _fit_all(by_view: _Pixels, by_gaussian: _Pixels, used: Array, keys: Array) -
 
 
 def _fit_one(by_view: _Pixels, by_gaussian: _Pixels, used: Array, key: Array) -> Fit:
-    """Run EM from one start until convergence; the pixels are two of (V, S), and two of (S, V)."""
+    """Run EM from one start until convergence; the arrays `by_gaussian` (S, V) are transposes."""
     flagged, clear = by_view
     size = flagged.shape[1]
 

@@ -61,6 +61,19 @@ def test_the_criterion_of_one_class_is_that_of_schwarz():
     np.testing.assert_allclose(criterion, [expected], rtol=0, atol=1.0)
 
 
+def test_the_criterion_of_overlapping_classes_is_that_of_schwarz():
+    _, flagged, clear = drawn(pixels=1)  # so that no Gaussian belongs to one class for sure
+    fit = fit_classes(flagged, clear, counts=(2,), restarts=1)
+    rates = np.asarray(fit.classes.rates[0], np.float64)
+    joint = np.log(np.asarray(fit.classes.shares[0], np.float64))[:, None]
+    joint = joint + np.log(rates) @ flagged + np.log1p(-rates) @ clear
+    likelihood = np.logaddexp(*joint).sum()
+    assert likelihood > joint.max(axis=0).sum() + 50
+    # The likelihood is that of the last step but one, below by less than 1e-4 per Gaussian.
+    expected = likelihood - 0.5 * 2 * (6 + 1) * np.log(1500)
+    np.testing.assert_allclose(fit.criterion, [expected], rtol=0, atol=1.0)
+
+
 def test_rates_are_bounded_and_unseen_gaussians_follow_the_shares():
     flagged, clear = np.zeros((6, 1500), np.float32), np.zeros((6, 1500), np.float32)
     flagged[:, :10] = 1e6

@@ -94,7 +94,7 @@ def locate(
 
     Args:
         gaussians: N Gaussians.
-        cameras: The views, each with another name.
+        cameras: The views, each with another name; none, (), if there is no detector either.
         detector: A 2D detector, a function from an image (H, W, 3) to a probability map of any
             size, or probability maps: by camera name, or in the order of the cameras. With None,
             `robust` uses the attributes of the Gaussians alone, and the views only show the result.
@@ -116,10 +116,11 @@ def locate(
     """
     estimator, monitor = configured(method, config), monitor or Monitor()
     given, store = store, store or ArrayStore()
-    cameras = check_cameras(cameras)
+    cameras = [] if detector is None and cameras in ((), []) else check_cameras(cameras)
     detector = None if detector is None else as_detector(detector, cameras)
     gaussians, warnings = _usable(gaussians)
-    warnings = [*check_views(gaussians, cameras, near=estimator.near), *warnings]
+    if cameras:
+        warnings = [*check_views(gaussians, cameras, near=estimator.near), *warnings]
     gaussians = jax.tree.map(jnp.asarray, gaussians)
     known = _prior(gaussians, estimator, prior, monitor)  # attributes -> prior
     if detector is None:  # prior -> decide

@@ -62,3 +62,10 @@ def test_a_single_mask_is_never_taken_for_inverted():
     masks["view_0"][:, 12:] = True  # more than half of what is visible
     result = locate(SCENE, cameras(1), masks, prior=False)
     assert "inverted" not in result.reliability.values()
+
+
+def test_without_views_the_attributes_decide():
+    result, alone = locate(SCENE, (), None), estimate_from_attributes(forensic_evidence(SCENE))
+    assert np.array_equal(result.labels, alone.labels)
+    assert result.verdict == alone.verdict
+    assert not result.masks

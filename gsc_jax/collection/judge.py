@@ -10,14 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
-from gsc_jax.cli.locate import Inputs, locate_and_write, read_inputs
+from gsc_jax.cli.locate import locate_and_write, read_inputs
 from gsc_jax.cli.options import Locate
+from gsc_jax.cli.report.wording import found_traces
 from gsc_jax.collection.record import Row, wants_report
-from gsc_jax.estimators.protocol import Finding, Prior
 from gsc_jax.evidence.monitor import Monitor
-from gsc_jax.forensics.evidence import ForensicEvidence, estimate_from_attributes, forensic_evidence
 from gsc_jax.io.validation import brief
-from gsc_jax.locate import Result, locate
+from gsc_jax.locate import locate
 from gsc_jax.scene import InputError
 
 
@@ -45,40 +44,26 @@ def judge(options: Locate, report_above: float | None) -> Row:
 def _judged(options: Locate, report_above: float | None, monitor: Monitor) -> Row:
     with monitor.stage("load"):
         inputs = read_inputs(options, monitor=monitor, previews=0)
-    found, prior, notes = _found(inputs, monitor)
+    settings = {"config": inputs.estimator, "prior": inputs.attributes, "monitor": monitor}
+    found = locate(inputs.scene.gaussians, inputs.cameras, inputs.detector, **settings)
     scene, labelled = inputs.scene, int(found.labels.sum())
     row: Row = {
         "gaussians": len(scene.rows),
         "scene_probability": found.verdict,
         "labelled": labelled,
         "labelled_share": labelled / len(scene.rows),
-        "traces": [trace.name for trace in getattr(prior, "traces", ()) if trace.found],
-        "warnings": list(dict.fromkeys([*inputs.warnings, *notes])),
+        "traces": [trace.name for trace in found_traces(found)],
+        "warnings": list(dict.fromkeys([*inputs.warnings, *found.warnings])),
         "result_sha256": result_digest(scene.expand(found.tamper), scene.expand(found.labels)),
     }
     if wants_report(row, report_above):
-        given = prior if isinstance(prior, ForensicEvidence) else inputs.attributes
         with monitor.stage("load"):
             inputs = inputs if inputs.cameras else read_inputs(options, monitor=monitor)
         # The maps of a network come from its cache; the attributes are those already computed.
+        given = found.prior or False
         row["warnings"] = locate_and_write(inputs, prior=given, monitor=monitor).result.warnings
         row["report"] = f"{options.out.name}/report.html"
     return row
-
-
-def _found(inputs: Inputs, monitor: Monitor) -> tuple[Finding | Result, Prior | None, list[str]]:
-    """The finding of a scene, its prior, and its warnings."""
-    gaussians, estimator = inputs.scene.gaussians, inputs.estimator
-    if inputs.detector is not None:
-        settings = {"config": estimator, "prior": inputs.attributes, "monitor": monitor}
-        result = locate(gaussians, inputs.cameras, inputs.detector, **settings)
-        return result, result.prior, result.warnings
-    with monitor.stage("attributes"):
-        prior = forensic_evidence(gaussians)
-        finding = estimate_from_attributes(
-            prior, threshold=estimator.threshold, min_verdict=estimator.min_verdict
-        )
-    return finding, prior, finding.warnings
 
 
 def result_digest(tamper: np.ndarray, labels: np.ndarray) -> str:

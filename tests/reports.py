@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from strategies import camera, random_scene
 
-from gsc_jax.cli.outputs import write_report
+from gsc_jax.cli.outputs import Located, numbers, write_report
 from gsc_jax.cli.pictures import layer_path, overlay
-from gsc_jax.cli.report.wording import Located
+from gsc_jax.cli.report.wording import summary
 from gsc_jax.estimators.protocol import Reliability
 from gsc_jax.estimators.robust.early_stopping import EarlyStopping
 from gsc_jax.estimators.robust.estimator import RobustEstimator
@@ -103,9 +103,13 @@ def run(
         scene=read_ply(folder / "scene.ply"),
         cameras=cameras,
         result=dataclasses.replace(result, **changes),
-        visible_share=float(np.mean([mask.mean() for mask in masks.values()])),
         inputs={"scene.ply": {"bytes": 12345, "sha256": "5a" * 32}},
     )
+
+
+def summarised(located: Located) -> list[str]:
+    """The lines that the terminal shows of a run."""
+    return summary(numbers({}, located), Path("out"))
 
 
 def write(folder: Path, located: Located, *, pictures: bool = True) -> Page:

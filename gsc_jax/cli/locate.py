@@ -9,14 +9,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
-import numpy as np
 
 from gsc_jax.cli import detector_choice, scene_input
 from gsc_jax.cli.config_file import read_config_file
 from gsc_jax.cli.options import Locate
-from gsc_jax.cli.outputs import planned_outputs, versions, write_report, write_results
+from gsc_jax.cli.outputs import Located, planned_outputs, versions, write_report, write_results
 from gsc_jax.cli.ownership import refuse_foreign, refuse_overlap
-from gsc_jax.cli.report.wording import Located
 from gsc_jax.cli.staging import BY_CAMERA, FILES, replacing, views_of
 from gsc_jax.estimators.protocol import Estimator, Prior
 from gsc_jax.evidence.detector import Detector, fit_to_view
@@ -98,18 +96,16 @@ def locate_and_write(inputs: Inputs, *, prior: Prior | bool, monitor: Monitor) -
         store = ArrayStore(views_of(folder), max_bytes=memory_limit(options.memory) // EXPANDED)
         settings = {"config": inputs.estimator, "prior": prior, "monitor": monitor, "store": store}
         result = locate(scene.gaussians, cameras, inputs.detector, **settings)
-        visible_share = float(np.mean([mask.mean() for mask in result.masks.values()]))
         with monitor.stage("write"):
             found = contrasts(scene.gaussians, result.labels)
-            located = Located(scene, cameras, result, visible_share, inputs.files, found)
+            located = Located(scene, cameras, result, inputs.files, found)
             write_results(folder, located, store, monitor=monitor)
         warnings = list(dict.fromkeys([*inputs.warnings, *result.warnings]))  # of `check_views`
         times = {"stages": monitor.summary(), "seconds": monitor.elapsed()}
         result = dataclasses.replace(result, **times, warnings=warnings)
         located = dataclasses.replace(located, result=result)
-        write_report(folder, dataclasses.asdict(options), located, monitor=monitor)
-    result = dataclasses.replace(result, seconds=monitor.elapsed())
-    return dataclasses.replace(located, result=result)
+        report = write_report(folder, dataclasses.asdict(options), located, monitor=monitor)
+    return dataclasses.replace(located, report={**report, "seconds": monitor.elapsed()})
 
 
 def _identity(inputs: Inputs) -> str:

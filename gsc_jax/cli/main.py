@@ -183,7 +183,7 @@ def _answer(command: Command, monitor: Monitor) -> tuple[list[str], list[str]]:
             earlier = earlier_results(command.out)
             located = run_locate(command, monitor=monitor)
             replaced = [f"writes   {command.out}: has replaced {earlier}"] if earlier else []
-            return [*summary(located, command.out), *replaced], located.result.warnings
+            return [*summary(located.report, command.out), *replaced], located.result.warnings
     runs = {Demo: run_demo, Render: run_render, Tamper: run_tamper, Scan: run_scan, Locate: dry_run}
     return runs[type(command)](command, monitor=monitor)
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from gsc_jax.cli.pictures import CANDIDATE, SHEET_ROWS, TINT, contact_sheet, layer_path, overlay
 from gsc_jax.cli.report.page import report_page
-from gsc_jax.cli.report.wording import Located, are_candidates, found_traces
+from gsc_jax.cli.report.wording import are_candidates
 from gsc_jax.cli.scene_input import evenly_spaced
 from gsc_jax.cli.staging import BY_CAMERA, FILES, files_below
 from gsc_jax.evidence.masks import RENDER, SCORE
@@ -30,12 +30,28 @@ from gsc_jax.io.cameras import save_cameras
 from gsc_jax.io.files import atomic
 from gsc_jax.io.highlight import save_highlight
 from gsc_jax.io.masks import write_image, write_mask, write_probability
-from gsc_jax.io.ply import save_tampered
+from gsc_jax.io.ply import PlyScene, save_tampered
 from gsc_jax.locate import Result
 from gsc_jax.scene import Camera
 from gsc_jax.scene.parallel import ViewThreads, bounded_map
 
 PACKAGES = ("gsc_jax", "numpy", "jax", "jaxlib", "optax")
+
+
+@dataclasses.dataclass(frozen=True)
+class Located:
+    """A finished run of `locate`; the masks of the result are files in the folder by now.
+
+    Times and warnings of the result include those of reading and writing. `inputs` has size and
+    SHA-256 of each input, by path; `report` is the content of result.json once it is written.
+    """
+
+    scene: PlyScene
+    cameras: list[Camera]
+    result: Result
+    inputs: dict[str, dict[str, Any]] = dataclasses.field(default_factory=dict)
+    contrasts: dict[str, float] = dataclasses.field(default_factory=dict)
+    report: dict[str, Any] = dataclasses.field(default_factory=dict)
 
 
 def write_results(folder: Path, located: Located, store: ArrayStore, *, monitor: Monitor) -> None:
@@ -73,23 +89,27 @@ def planned_outputs(
     return [*files, *(path.as_posix() for path in paths)]
 
 
-def write_report(folder: Path, command: dict, located: Located, *, monitor: Monitor) -> None:
-    """Write report.html, and result.json with the same numbers and all files of the folder."""
+def write_report(
+    folder: Path, command: dict, located: Located, *, monitor: Monitor
+) -> dict[str, Any]:
+    """Write report.html, and result.json with what is returned and all files of the folder."""
     outputs = sorted([*files_below(folder), "report.html", "result.json"])
-    report = jsonable({**_numbers(command, located), "outputs": outputs})
-    page = report_page(folder, report, located, monitor=monitor)
+    report = jsonable({**numbers(command, located), "outputs": outputs})
+    page = report_page(folder, report, located.result, monitor=monitor)
     with atomic(folder / "report.html") as temporary:
         temporary.write_text(page, encoding="utf-8")
     write_json(folder / "result.json", report)
+    return report
 
 
-def _numbers(command: dict[str, Any], located: Located) -> dict[str, Any]:
+def numbers(command: dict[str, Any], located: Located) -> dict[str, Any]:
     """Configuration and results of a run."""
     result = located.result
     config = dataclasses.asdict(result.estimator)  # pyright: ignore[reportArgumentType]
     scene, seen = located.scene, int(result.seen.sum())
     stopping, prior = result.early_stopping, result.prior
-    traces = {trace.name: trace.explanation for trace in found_traces(result)}
+    views = [_view(camera, result) for camera in located.cameras]
+    traces = {t.name: t.explanation for t in getattr(prior, "traces", ()) if t.found}
     return {
         "command": command,
         "method": result.method,
@@ -110,8 +130,8 @@ def _numbers(command: dict[str, Any], located: Located) -> dict[str, Any]:
         "views": len(result.masks),
         "judged_views": len(result.probabilities),
         "early_stopping": stopping and {**dataclasses.asdict(stopping), "reason": stopping.reason},
-        "tampered_share_of_views": located.visible_share,
-        "per_view": [_view(camera, result) for camera in located.cameras],
+        "tampered_share_of_views": float(np.mean([view["tampered_share"] for view in views])),
+        "per_view": views,
         "seconds": result.seconds,
         "stages": result.stages,
         "warnings": result.warnings,

@@ -12,7 +12,6 @@ import numpy as np
 
 from gsc_jax.cli.locate import locate_and_write, read_inputs
 from gsc_jax.cli.options import Locate
-from gsc_jax.cli.report.wording import found_traces
 from gsc_jax.collection.record import Row, wants_report
 from gsc_jax.evidence.monitor import Monitor
 from gsc_jax.io.validation import brief
@@ -52,7 +51,7 @@ def _judged(options: Locate, report_above: float | None, monitor: Monitor) -> Ro
         "scene_probability": found.verdict,
         "labelled": labelled,
         "labelled_share": labelled / len(scene.rows),
-        "traces": [trace.name for trace in found_traces(found)],
+        "traces": [t.name for t in getattr(found.prior, "traces", ()) if t.found],
         "warnings": list(dict.fromkeys([*inputs.warnings, *found.warnings])),
         "result_sha256": result_digest(scene.expand(found.tamper), scene.expand(found.labels)),
     }

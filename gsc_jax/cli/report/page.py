@@ -17,9 +17,9 @@ from typing import Any
 from gsc_jax.cli.report import wording
 from gsc_jax.cli.report.charts import score_histogram
 from gsc_jax.cli.report.thumbnails import LAYERS, thumbnails
-from gsc_jax.cli.report.wording import Located
 from gsc_jax.cli.staging import OUTPUTS
 from gsc_jax.evidence.monitor import Monitor
+from gsc_jax.locate import Result
 
 COUNTS = {
     "rows": "Rows of the file",
@@ -31,9 +31,9 @@ COUNTS = {
 """Title of each entry of `counts` in result.json."""
 
 
-def report_page(folder: Path, report: dict[str, Any], located: Located, *, monitor: Monitor) -> str:
+def report_page(folder: Path, report: dict[str, Any], result: Result, *, monitor: Monitor) -> str:
     """Render the page of a run, whose images are in `folder`, with the content of result.json."""
-    result, counts, views = located.result, report["counts"], report["per_view"]
+    counts, views = report["counts"], report["per_view"]
     found = thumbnails(folder, [view["name"] for view in views])
     images = list(monitor.track("report", found, len(views)))
     present = {image.layer for view in images for image in view}
@@ -46,9 +46,9 @@ def report_page(folder: Path, report: dict[str, Any], located: Located, *, monit
         wording=wording,
         headline=wording.headline(report["verdict"], counts["tampered"]),
         candidates=counts["tampered"] > 0 and wording.are_candidates(report["verdict"]),
-        conflict=wording.conflict(result),
-        lead=wording.lead(located),
-        differences=wording.differences(located.contrasts),
+        conflict=wording.conflict(report),
+        lead=wording.lead(report),
+        differences=wording.differences(report["contrasts"]),
         traces=sorted(getattr(result.prior, "traces", ()), key=lambda trace: not trace.found),
         views=sorted(
             zip(range(len(views)), views, images, strict=True),

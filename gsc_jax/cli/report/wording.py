@@ -1,33 +1,14 @@
-"""A finished run of `locate`, and sentences about results for terminal, report and viewer."""
+"""Sentences about results of `locate` for terminal, report and viewer.
 
-import dataclasses
+A `report` is the content of a result.json.
+"""
+
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from gsc_jax.estimators.protocol import Outcome, Reliability, outcome
-from gsc_jax.forensics.traces import Trace
-from gsc_jax.io.ply import PlyScene
-from gsc_jax.locate import Result
-from gsc_jax.scene import Camera
-
-
-@dataclasses.dataclass(frozen=True)
-class Located:
-    """A finished run of `locate`; the masks of the result are files in the folder by now.
-
-    Times and warnings of the result include those of reading and writing. `visible_share` is the
-    mean tampered share of the views; `inputs` has size and SHA-256 of each input, by path.
-    """
-
-    scene: PlyScene
-    cameras: list[Camera]
-    result: Result
-    visible_share: float
-    inputs: dict[str, dict[str, Any]] = dataclasses.field(default_factory=dict)
-    contrasts: dict[str, float] = dataclasses.field(default_factory=dict)
-
 
 RELIABILITY: dict[Reliability, tuple[str, str, str]] = {
     "reliable": ("●", "reliable", "The mask flags most of what is labelled in the view."),
@@ -95,12 +76,14 @@ def headline(verdict: float | None, tampered: int) -> str:
     return "No Gaussian is labelled as tampered."
 
 
-def basis(verdict: float | None, masks: object, alone: float | None) -> str:
-    """What evidence a scene probability uses; `alone` is the probability by the attributes only."""
-    # Masks that are no evidence leave that of the attributes as it is.
-    if masks and alone is not None and verdict != alone:
-        return "masks and attributes"
-    return "masks" if alone is None else "attributes"
+def explained(report: Mapping[str, Any]) -> str:
+    """`meaning` of the scene probability of a report, by the evidence that it uses."""
+    attributes, verdict, basis = report.get("attributes") or {}, report["verdict"], "attributes"
+    if (alone := attributes.get("verdict")) is None:
+        basis = "masks"
+    elif report.get("judged_views") and verdict != alone:  # else the masks are no evidence
+        basis = "masks and attributes"
+    return meaning(verdict, basis=basis, traced=attributes.get("traces"))
 
 
 def meaning(verdict: float, *, basis: str, traced: object = False) -> str:
@@ -127,11 +110,11 @@ def meaning(verdict: float, *, basis: str, traced: object = False) -> str:
     )
 
 
-def conflict(result: Result) -> str | None:
+def conflict(report: Mapping[str, Any]) -> str | None:
     """A warning if the masks label Gaussians whose attributes are ordinary; None otherwise."""
-    rank, prior = result.rank, result.prior.verdict if result.prior else None
-    by_masks = outcome(result.verdict) == "evidence" and outcome(prior) != "evidence"
-    if rank is None or rank < 0.5 or not by_masks:
+    attributes = report["attributes"] or {}
+    by_masks = outcome(report["verdict"]) == "evidence" != outcome(attributes.get("verdict"))
+    if (rank := attributes.get("rank")) is None or rank < 0.5 or not by_masks:
         return None
     return (
         "The masks show an edit, the attributes of these Gaussians do not: of the other parts of "
@@ -153,18 +136,18 @@ def differences(shares: Mapping[str, float]) -> str | None:
     )
 
 
-def labels_sentence(
-    tampered: int, total: int, *, verdict: float | None, views: int, covered: float
-) -> str:
+def lead(report: Mapping[str, Any]) -> str:
     """State how many of all Gaussians are labelled as tampered, and which share they cover.
 
-    Without evidence of editing they are candidates. `covered` is the mean share of tampered pixels.
+    Without evidence of editing they are candidates.
     """
+    tampered, total = report["counts"]["tampered"], report["counts"]["gaussians"]
+    views, covered = len(report["per_view"]), report["tampered_share_of_views"]
     count = f"{views} view{'' if views == 1 else 's'}"
     if not tampered:
         return f"None of {total:,} Gaussians is labelled as tampered; {count} were rendered."
     what = "labelled as tampered"
-    if are_candidates(verdict):
+    if are_candidates(report.get("verdict")):
         what = "candidates: they stand out most, but an edit may also lie elsewhere"
     return (
         f"{tampered:,} of {total:,} Gaussians ({share(tampered / total)}) are {what}; they cover "
@@ -177,61 +160,40 @@ def are_candidates(verdict: float | None) -> bool:
     return outcome(verdict) in ("inconclusive", "none")
 
 
-def found_traces(result: Result) -> list[Trace]:
-    """Traces of editing that were found in the stored values."""
-    return [trace for trace in getattr(result.prior, "traces", ()) if trace.found]
-
-
-def views_sentence(result: Result) -> str | None:
+def views_sentence(report: Mapping[str, Any]) -> str | None:
     """How many views were used and why no more; None if all available views were used."""
-    if (stop := result.early_stopping) is None or stop.views == stop.available:
+    if (stop := report["early_stopping"]) is None or stop["views"] == stop["available"]:
         return None
-    return f"{stop.views} of {stop.available} used. {stop.reason}"
+    return f"{stop['views']} of {stop['available']} used. {stop['reason']}"
 
 
-def summary(located: Located, out: Path) -> list[str]:
+def summary(report: Mapping[str, Any], out: Path) -> list[str]:
     """Summarise a run, whose results are in the folder `out`, in a few lines for the terminal."""
-    result, verdict, findings = located.result, located.result.verdict, [lead(located)]
+    verdict, attributes, findings = report["verdict"], report["attributes"], [lead(report)]
     if verdict is not None:
-        contradiction = conflict(result)
-        masks, prior = result.probabilities, result.prior
-        alone = f"; {percent(prior.verdict)} by the attributes alone" if masks and prior else ""
-        rests_on = basis(verdict, masks, prior.verdict if prior else None)
-        known = {"basis": rests_on, "traced": found_traces(result)}
+        prior = attributes["verdict"] if report["judged_views"] and attributes else None
+        alone = "" if prior is None else f"; {percent(prior)} by the attributes alone"
         findings = [
-            *([contradiction] if contradiction else []),
-            f"{headline(verdict, int(result.labels.sum()))} {findings[0]}",
-            f"edited   {percent(verdict)} (scene probability{alone}). {meaning(verdict, **known)}",
+            *filter(None, [conflict(report)]),
+            f"{headline(verdict, report['counts']['tampered'])} {findings[0]}",
+            f"edited   {percent(verdict)} (scene probability{alone}). {explained(report)}",
         ]
-    seconds = {name: stage["seconds"] for name, stage in result.stages.items()}
+    seconds = {name: stage["seconds"] for name, stage in report["stages"].items()}
     slowest = sorted(seconds, key=seconds.__getitem__, reverse=True)[:3]
     times = ", ".join(f"{name} {seconds[name]:.1f} s" for name in slowest)
-    beside = differences(located.contrasts)
-    counts = Counter(result.reliability.values())
+    beside, views = differences(report["contrasts"]), views_sentence(report)
+    counts = Counter(view["reliability"] for view in report["per_view"])
     kinds = [f"{counts[key]} {name}" for key, (_, name, _) in RELIABILITY.items() if counts[key]]
-    views = views_sentence(result)
     return [
         *findings,
         *([f"masks    {', '.join(kinds)}"] if kinds else []),
         *([f"views    {views}"] if views else []),
         *([f"contrast {beside}"] if beside else []),
-        *(f"trace    {trace.explanation}" for trace in found_traces(result)),
-        f"method   {result.method}",
-        f"time     {result.seconds:.1f} s (most work, over all threads: {times})",
+        *(f"trace    {text}" for text in (attributes or {"traces": {}})["traces"].values()),
+        f"method   {report['method']}",
+        f"time     {report['seconds']:.1f} s (most work, over all threads: {times})",
         f"report   {out / 'report.html'}",
         f"images   {out / 'overview.png'}, {out / 'overlay'}",
         f"scene    {out / 'tamper.ply'}; for any viewer: {out / 'highlight.ply'}",
         f"numbers  {out / 'result.json'}, {out / 'labels.npy'}",
     ]
-
-
-def lead(located: Located) -> str:
-    """What `labels_sentence` states about a run."""
-    result = located.result
-    return labels_sentence(
-        int(result.labels.sum()),
-        len(result.labels),
-        verdict=result.verdict,
-        views=len(result.masks),
-        covered=located.visible_share,
-    )

@@ -1,7 +1,8 @@
 """Collects what the page of `gsc-jax view` shows: Gaussians, cameras, and sentences about them."""
 
 import dataclasses
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -96,7 +97,7 @@ def viewer_contents(results: Results, *, most: int) -> tuple[Contents, list[str]
     places = [place for pose in poses for place in (pose.position, pose.look_at)]
     contents = Contents(
         title=results.folder.resolve().name.encode(errors="replace").decode(),
-        sentences=_sentences(results),
+        sentences=_sentences(results.report),
         splats=chosen,
         score=results.tamper[rows],
         threshold=float(results.report["config"]["threshold"]),
@@ -118,17 +119,13 @@ def viewer_contents(results: Results, *, most: int) -> tuple[Contents, list[str]
     return contents, [note] if omitted else []
 
 
-def _sentences(results: Results) -> list[str]:
-    report, verdict = results.report, results.report.get("verdict")
-    tampered, views = report["counts"]["tampered"], len(report["per_view"])
-    found = {"verdict": verdict, "views": views, "covered": report["tampered_share_of_views"]}
-    said = wording.labels_sentence(tampered, report["counts"]["gaussians"], **found)
-    labels = " ".join(filter(None, [said, wording.differences(report.get("contrasts", {}))]))
-    if verdict is None:
+def _sentences(report: Mapping[str, Any]) -> list[str]:
+    differences = wording.differences(report.get("contrasts", {}))
+    labels = " ".join(filter(None, [wording.lead(report), differences]))
+    if (verdict := report.get("verdict")) is None:
         return [labels]
-    attributes = report.get("attributes") or {}
-    traces, masks = attributes.get("traces", {}), report.get("judged_views")
-    basis = wording.basis(verdict, masks, attributes.get("verdict"))
-    meaning = wording.meaning(verdict, basis=basis, traced=traces)
-    reason = f"The scene probability of an edit is {wording.percent(verdict)}. {meaning}"
-    return [wording.headline(verdict, tampered), labels, reason, *traces.values()]
+    headline = wording.headline(verdict, report["counts"]["tampered"])
+    explained = wording.explained(report)
+    reason = f"The scene probability of an edit is {wording.percent(verdict)}. {explained}"
+    traces = (report.get("attributes") or {}).get("traces", {})
+    return [headline, labels, reason, *traces.values()]

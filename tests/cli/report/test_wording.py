@@ -8,7 +8,7 @@ import hypothesis.strategies as st
 import numpy as np
 import pytest
 from hypothesis import example, given
-from reports import run
+from reports import run, summarised
 from strategies import random_scene
 from tables import read_csv
 
@@ -21,7 +21,7 @@ NAMES = [f"view {i:02}" for i in range(8)]
 
 
 def test_summary_names_the_report_the_traces_and_the_reliability(tmp_path: Path):
-    lines = wording.summary(run(tmp_path, NAMES), Path("out"))
+    lines = summarised(run(tmp_path, NAMES))
     assert any(str(Path("out") / "report.html") in line for line in lines)
     assert any("100 of 400 Gaussians are off." in line for line in lines)
     assert any("2 reliable, 2 inverted, 2 uninformative" in line for line in lines)
@@ -29,7 +29,7 @@ def test_summary_names_the_report_the_traces_and_the_reliability(tmp_path: Path)
 
 def test_summary_starts_with_the_outcome(tmp_path: Path):
     for verdict, start in ((0.1, "No evidence"), (0.5, "Inconclusive"), (0.97, "Evidence of")):
-        lines = wording.summary(run(tmp_path, NAMES[:1], verdict=verdict), Path("out"))
+        lines = summarised(run(tmp_path, NAMES[:1], verdict=verdict))
         first = next(line for line in lines if not line.startswith("The masks show"))
         assert first.startswith(start)
         assert ("candidates" in first) == (verdict < 0.65)
@@ -39,7 +39,7 @@ def test_a_conflict_of_masks_and_attributes_is_the_first_sentence(tmp_path: Path
     def first(verdict: float, rank: float | None, alone: float = 0.5) -> str:
         prior = SimpleNamespace(verdict=alone, traces=())
         located = run(tmp_path, NAMES[:1], verdict=verdict, rank=rank, prior=prior)
-        return wording.summary(located, Path("out"))[0]
+        return summarised(located)[0]
 
     assert first(0.98, 1.0).startswith("The masks show an edit")
     assert "parts of the scene, 70% stand out more" in first(0.98, 0.7)
@@ -92,7 +92,7 @@ def test_an_outcome_of_most_scenes_is_said_to_say_little(verdict, basis, weak):
 
 def test_the_rates_are_those_of_what_the_run_used(tmp_path: Path):
     def edited(**changes) -> str:
-        lines = wording.summary(run(tmp_path, NAMES[:1], **changes), Path("out"))
+        lines = summarised(run(tmp_path, NAMES[:1], **changes))
         return next(line for line in lines if line.startswith("edited"))
 
     prior = SimpleNamespace(verdict=0.5, traces=())
@@ -122,13 +122,17 @@ def test_share_is_zero_or_all_only_if_exact(part: float):
 
 
 def test_labels_are_candidates_without_evidence_of_editing():
+    def lead(verdict: float | None, tampered: int = 3) -> str:
+        counts = {"tampered": tampered, "gaussians": 10}
+        shares = {"per_view": [{}], "tampered_share_of_views": 0.5}
+        return wording.lead({"verdict": verdict, "counts": counts, **shares})
+
     for verdict in (0.0, 0.4, EVIDENCE_FROM - 1e-6):
-        text = wording.labels_sentence(3, 10, verdict=verdict, views=1, covered=0.5)
+        text = lead(verdict)
         assert text.startswith("3 of 10 Gaussians (30.0%) are candidates: they stand out most")
-        assert "None of 10" in wording.labels_sentence(0, 10, verdict=verdict, views=1, covered=0.0)
+        assert "None of 10" in lead(verdict, tampered=0)
     for verdict in (None, EVIDENCE_FROM, 1.0):
-        text = wording.labels_sentence(3, 10, verdict=verdict, views=1, covered=0.5)
-        assert text.startswith("3 of 10 Gaussians (30.0%) are labelled as tampered")
+        assert lead(verdict).startswith("3 of 10 Gaussians (30.0%) are labelled as tampered")
 
 
 def test_every_trace_has_an_explanation():
@@ -156,11 +160,11 @@ def test_every_contrast_has_words():
 def test_the_summary_states_differences_and_what_the_attributes_say(tmp_path: Path):
     located = run(tmp_path, NAMES[:1], prior=SimpleNamespace(verdict=0.1, traces=()))
     located = dataclasses.replace(located, contrasts={"size": 0.01})
-    text = "\n".join(wording.summary(located, Path("out")))
+    text = "\n".join(summarised(located))
     assert "contrast Compared pair by pair" in text
     assert "smaller in 99% of the pairs" in text
     assert "(scene probability; 10% by the attributes alone)" in text
-    without = wording.summary(run(tmp_path, NAMES[:1], prior=None), Path("out"))
+    without = summarised(run(tmp_path, NAMES[:1], prior=None))
     assert "alone)" not in "\n".join(without)
     assert "contrast" not in "\n".join(without)
 

@@ -1,12 +1,10 @@
 """The chart of the report: the histogram of the scores.
 
 The two groups differ in shape as well as in colour: tampered is filled, authentic a dashed line. A
-chart is an SVG of matplotlib in the colours of a light and of a dark scheme, of which the page
-selects one. Colours C0 (tampered, or candidates) and C1 (authentic) repeat those of report.css.
+chart is an SVG of matplotlib inside the page, whose style sheet determines its colours.
 """
 
 import io
-from base64 import b64encode
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,9 +12,9 @@ import numpy as np
 from gsc_jax.cli.report.wording import are_candidates
 from gsc_jax.locate import Result
 
-CANDIDATE = "#1f6feb"
-LIGHT = INK, MUTED, TAMPERED, AUTHENTIC = "#1c1b1a", "#5c5954", "#b3004b", "#22588f"
-DARK = "#ebe8e3", "#aba69e", "#ff7fae", "#85b8ee"
+COLOURS = INK, MUTED, TAMPERED, AUTHENTIC = "#111111", "#222222", "#333333", "#444444"
+VARIABLES = "ink", "muted", "tampered", "authentic"
+"""Colours in the SVG of matplotlib, and the variables of report.css that replace them."""
 STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "gsc_jax",  # reproducible ids
@@ -32,15 +30,14 @@ SCORE_BINS = 50
 
 
 class Chart(NamedTuple):
-    """A chart: sentences about it, and its image for each scheme as a data URI."""
+    """A chart: sentences about it, and its SVG element."""
 
     text: str
-    light: str
-    dark: str
+    svg: str
 
 
 def score_histogram(result: Result) -> Chart:
-    """Histogram of the scores of visible Gaussians, with the threshold, in both colour schemes."""
+    """Histogram of the scores of visible Gaussians, with the threshold."""
     import matplotlib
     from matplotlib.figure import Figure
 
@@ -60,12 +57,11 @@ def score_histogram(result: Result) -> Chart:
         axes.annotate("threshold", place, xycoords=("data", "axes fraction"), ha="center")
         axes.set_yscale("symlog", linthresh=1)
         axes.set(xlim=(0, 1), ylim=(0, None), xlabel="score", ylabel="Gaussians")
-        figure.savefig(file, format="svg", transparent=True, metadata={"Date": None})
-    light = file.getvalue()
-    light = dark = light.replace(TAMPERED, CANDIDATE) if noun == "candidates" else light
-    for one, other in zip(LIGHT, DARK, strict=True):
-        dark = dark.replace(one, other)
-    uris = ("data:image/svg+xml;base64," + b64encode(x.encode()).decode() for x in (light, dark))
+        figure.savefig(file, format="svg", transparent=True)
+    svg = file.getvalue()
+    svg = '<svg viewBox="0 0 316.8 216">' + svg[svg.index("<g ") :]  # 72 units are an inch
+    for colour, name in zip(COLOURS, VARIABLES, strict=True):
+        svg = svg.replace(colour, f"var(--{name})")
     above = int((scores > threshold).sum())
     hidden = int(result.labels.sum() - labels.sum())
     text = (
@@ -74,4 +70,4 @@ def score_histogram(result: Result) -> Chart:
         f"{f', and {hidden:,} that no view shows' if hidden else ''}. Counts are on a logarithmic "
         "scale."
     )
-    return Chart(text, *uris)
+    return Chart(text, svg)

@@ -6,8 +6,8 @@ until their blending weights sum to the requested share of the pixels. Views are
 """
 
 import dataclasses
-from collections.abc import Callable, Sequence
-from typing import NamedTuple, TypeVar
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -23,10 +23,8 @@ from gsc_jax.render.tiles import make_view
 from gsc_jax.render.visibility import check_views
 from gsc_jax.scene import Camera, Gaussians, InputError
 from gsc_jax.scene.gaussians import usable_rows
-from gsc_jax.scene.parallel import ViewThreads, bounded_map
+from gsc_jax.scene.parallel import map_views
 from gsc_jax.splat import accumulate
-
-Value = TypeVar("Value")
 
 VIEW_WIDTH = 160
 """Width in pixels to which views are scaled down: areas of 1 % are still some hundred pixels."""
@@ -101,7 +99,7 @@ def measure_visibility(
     check_views(gaussians, cameras, near=near)
     chosen = np.unique(np.linspace(0, len(cameras) - 1, min(MAX_VIEWS, len(cameras))).astype(int))
     small = [scaled_down(cameras[view]) for view in chosen]
-    sums = np.stack(map_views(lambda camera: _blending_weights(gaussians, camera, near), small))
+    sums = np.stack([*map_views(lambda camera: _blending_weights(gaussians, camera, near), small)])
     share, central = np.moveaxis(sums * usable_rows(gaussians)[None, :, None], -1, 0)
     seen = (share > 0).mean(axis=0)
     weight = central.sum(axis=0) * seen**2 * (np.asarray(gaussians.opacities) > 0.5)
@@ -114,12 +112,6 @@ def measure_visibility(
 def scaled_down(camera: Camera) -> Camera:
     """Camera with an image of at most `VIEW_WIDTH` pixels across."""
     return camera.scaled(min(1.0, VIEW_WIDTH / camera.width))
-
-
-def map_views(function: Callable[[Camera], Value], cameras: Sequence[Camera]) -> list[Value]:
-    """Apply a function to views in parallel threads."""
-    with ViewThreads() as pool:
-        return list(bounded_map(pool, function, cameras))
 
 
 def visible_shares(

@@ -20,6 +20,7 @@ from gsc_jax.benchmark.regions import VISIBLE_SHARE, EditRejected, ProposedEdit,
 from gsc_jax.benchmark.removal import remove_region
 from gsc_jax.render.projection import NEAR
 from gsc_jax.scene import Camera, Gaussians, InputError
+from gsc_jax.scene.parallel import map_views
 from gsc_jax.splat import render
 
 Edit = Literal["incorporation", "modification", "removal"]
@@ -134,7 +135,7 @@ def _colour_change(proposed: ProposedEdit, original: Gaussians, visibility: Visi
         images = (np.asarray(render(scene, camera, near=near)[0]) for scene in scenes)
         return float(np.abs(np.subtract(*images))[inside].mean())
 
-    values = np.array(regions.map_views(change, visibility.cameras[::2]))
+    values = np.array([*map_views(change, visibility.cameras[::2])])
     return float(values[np.isfinite(values)].mean()) if np.isfinite(values).any() else 0.0
 
 

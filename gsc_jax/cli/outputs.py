@@ -33,7 +33,7 @@ from gsc_jax.io.masks import write_image, write_mask, write_probability
 from gsc_jax.io.ply import PlyScene, save_tampered
 from gsc_jax.locate import Result
 from gsc_jax.scene import Camera
-from gsc_jax.scene.parallel import ViewThreads, bounded_map
+from gsc_jax.scene.parallel import map_views
 
 PACKAGES = ("gsc_jax", "numpy", "jax", "jaxlib", "optax")
 
@@ -76,8 +76,7 @@ def write_results(folder: Path, located: Located, store: ArrayStore, *, monitor:
         write_image(layer_path(folder, "render", name), image)
         write_image(layer_path(folder, "overlay", name), overlay(image, mask, tint))
 
-    with ViewThreads() as pool:
-        list(monitor.track("write", bounded_map(pool, write_view, cameras), len(cameras)))
+    list(monitor.track("write", map_views(write_view, cameras), len(cameras)))
     _write_overview(folder / "overview.png", cameras, result, store)
 
 

@@ -11,7 +11,7 @@ from gsc_jax.evidence.observation import Observation
 from gsc_jax.render.projection import NEAR
 from gsc_jax.scene import Camera
 from gsc_jax.scene.gaussians import filled_up
-from gsc_jax.scene.parallel import ViewThreads, bounded_map
+from gsc_jax.scene.parallel import map_views
 from gsc_jax.splat import render
 
 CHECKED = 6
@@ -87,8 +87,7 @@ def best_property(observation: Observation, *, near: float = NEAR) -> tuple[str,
         maps = properties(np.asarray(render(gaussians, camera, near=near)[0]))
         return {name: pixels[::STRIDE, ::STRIDE].ravel() for name, pixels in maps.items()}
 
-    with ViewThreads(len(gaussians)) as pool:
-        views = list(bounded_map(pool, compared, chosen))
+    views = list(map_views(compared, chosen, gaussians=len(gaussians)))
     pixels = {name: np.concatenate([view[name] for view in views]) for name in views[0]}
     flagged = np.concatenate([mask(camera) for camera in chosen])
     accuracies = {name: separation(values, flagged) for name, values in pixels.items()}

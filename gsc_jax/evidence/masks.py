@@ -23,7 +23,7 @@ from gsc_jax.render.spherical_harmonics import colors
 from gsc_jax.render.tiles import make_view
 from gsc_jax.scene import Array, Camera, Gaussians
 from gsc_jax.scene.gaussians import transparent_rows
-from gsc_jax.scene.parallel import ViewThreads, bounded_map
+from gsc_jax.scene.parallel import map_views
 from gsc_jax.splat import composite_with_alpha, require_finite
 
 MaskRule = Literal["share", "attribute", "per-view"]
@@ -143,9 +143,8 @@ def stored_masks(
             for kind, array in zip((MASK, RENDER, SCORE), arrays, strict=False):
                 store.put(kind, camera.name, array)
 
-    with ViewThreads(gaussians) as pool:
-        for done, _ in enumerate(bounded_map(pool, put, cameras), start=1):
-            monitor.progress("masks", done, len(cameras))
+    for done, _ in enumerate(map_views(put, cameras, gaussians=gaussians), start=1):
+        monitor.progress("masks", done, len(cameras))
     return ByView(tuple(c.name for c in cameras), lambda name: np.array(store.get(MASK, name)))
 
 

@@ -86,6 +86,14 @@ def bounded_map(
         yield waiting.popleft().result()
 
 
+def map_views(
+    function: Callable[[Item], Value], views: Iterable[Item], *, gaussians: int = 0
+) -> Iterator[Value]:
+    """Map views of N Gaussians, in order, in threads of their own."""
+    with ViewThreads(gaussians) as pool:
+        yield from bounded_map(pool, function, views)
+
+
 def in_blocks(function: Callable[[np.ndarray], np.ndarray], rows: np.ndarray) -> np.ndarray:
     """Apply a function of each row on its own to blocks of rows, and concatenate the results."""
     with ThreadPoolExecutor(workers()) as pool:

@@ -13,7 +13,7 @@ import numpy as np
 from PIL import Image
 
 from gsc_jax.cli.pictures import layer_path
-from gsc_jax.scene.parallel import ViewThreads, bounded_map
+from gsc_jax.scene.parallel import map_views
 
 LAYERS = {"render": "Render", "detector": "Probability map"}
 LAYERS |= {"masks": "Final mask", "overlay": "Overlay"}
@@ -35,7 +35,7 @@ class Thumbnail(NamedTuple):
 
 
 def thumbnails(folder: Path, names: Sequence[str]) -> Iterator[list[Thumbnail]]:
-    """Yield the existing layers of each view of a folder of results, in the order of `LAYERS`."""
+    """The existing layers of each view of a folder of results, in the order of `LAYERS`."""
     side = thumbnail_side(len(names))
 
     def of_view(name: str) -> list[Thumbnail]:
@@ -45,8 +45,7 @@ def thumbnails(folder: Path, names: Sequence[str]) -> Iterator[list[Thumbnail]]:
             if (path := layer_path(folder, layer, name)).is_file()
         ]
 
-    with ViewThreads() as pool:
-        yield from bounded_map(pool, of_view, names)
+    return map_views(of_view, names)
 
 
 def thumbnail_side(views: int) -> int:

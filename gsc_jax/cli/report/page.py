@@ -44,11 +44,7 @@ def report_page(folder: Path, report: dict[str, Any], result: Result, *, monitor
         report=report,
         result=result,
         wording=wording,
-        headline=wording.headline(report["verdict"], counts["tampered"]),
         candidates=counts["tampered"] > 0 and wording.are_candidates(report["verdict"]),
-        conflict=wording.conflict(report),
-        lead=wording.lead(report),
-        differences=wording.differences(report["contrasts"]),
         traces=sorted(getattr(result.prior, "traces", ()), key=lambda trace: not trace.found),
         views=sorted(
             zip(range(len(views)), views, images, strict=True),

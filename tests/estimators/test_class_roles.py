@@ -196,5 +196,5 @@ def test_views_that_separate_fifteen_percent_of_what_two_classes_show_make_them_
 
 
 def test_the_scene_probability_is_logistic_with_two_pseudo_views():
-    assert scene_probability(1.0, 1e9) == pytest.approx(expit(12 * 0.45))
-    assert scene_probability(1.0, 2.0) == pytest.approx(expit(12 * 0.45 / 2))
+    assert scene_probability(1.0, 1e9) == pytest.approx(expit(12 * 0.42))
+    assert scene_probability(1.0, 2.0) == pytest.approx(expit(12 * 0.42 / 2))

@@ -18,6 +18,7 @@ SOME_ROLES = Roles(
     tampered=np.array([False, True]),
     rates=np.full(2, 0.5),
     seen=np.full(2, 4.0),
+    missed=0.0,
 )
 
 

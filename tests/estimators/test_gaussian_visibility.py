@@ -51,6 +51,7 @@ def test_pattern_errors_of_a_mixed_pattern_with_an_inverted_view():
         tampered=np.array([False, True]),
         rates=np.zeros(2),
         seen=np.ones(2),
+        missed=0.0,
     )
     seen, flagged = visibility(evidence, slice(None), 8.0)
     false_alarms, misses = pattern_errors(roles, seen, flagged)
@@ -71,6 +72,7 @@ def test_authentic_flag_share_of_a_sample(classes):
         tampered=np.arange(classes) == 1,
         rates=np.zeros(classes),
         seen=np.full(classes, 7.0),
+        missed=0.0,
     )
     represents = rng.integers(1, 9, 500)
     turned = np.where(roles.inverted[:, None], seen - flagged, flagged)

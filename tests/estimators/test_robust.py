@@ -34,6 +34,25 @@ def test_labels_are_exact_under_every_failure(failure):
     assert np.array_equal(labels_of(masked(failing(failure))), TRUE & (TOTAL.sum(0) > 0))
 
 
+def test_pixels_that_are_flipped_by_chance_hide_nothing():
+    flags = np.where(TRUE, 0.7, 0.3).astype(np.float32)
+    found = estimate(Evidence(total=TOTAL, tampered=TOTAL * flags))
+    assert np.array_equal(found.labels, TRUE & (TOTAL.sum(0) > 0))
+
+
+def test_views_that_do_not_show_an_edit_do_not_count_as_misses():
+    """What other views show, and no view of the edit, belongs to no class by the masks alone."""
+    kinds, total = np.repeat(np.arange(3), [200, 20, 800]), np.full((12, 1020), 100, np.float32)
+    total[4:, kinds == 1] = total[:4, kinds == 2] = 0
+    flagged = np.zeros(total.shape, np.float32)
+    flagged[:4, kinds == 1] = 90
+    found = ESTIMATOR.estimate_from_evidence(
+        Evidence(total=total, tampered=flagged), 20 * np.eye(3)[kinds]
+    )
+    assert np.array_equal(found.labels, kinds == 1)
+    assert found.verdict == pytest.approx(scene_probability(1.0, 4), abs=0.01)
+
+
 def test_inverted_and_uninformative_views_are_identified():
     found = estimate(masked(failing("mixture")))
     expected = np.full(VIEWS, "reliable", object)
@@ -48,7 +67,7 @@ def test_without_inversion_the_scene_probability_falls():
     flagged[:5] = ~flagged[:5]
     without = dataclasses.replace(ESTIMATOR, inversion=False)
     kept, turned = (estimate(masked(flagged), c) for c in (without, ESTIMATOR))
-    assert verdict_of(masked(flagged), without) < 0.7 < 0.99 < verdict_of(masked(flagged))
+    assert verdict_of(masked(flagged), without) < 0.7 < 0.98 < verdict_of(masked(flagged))
     assert "inverted" not in kept.reliability
     assert turned.reliability[:5] == ("inverted",) * 5
 
@@ -67,7 +86,7 @@ def test_a_clean_mask_of_an_edit_that_fills_the_image_is_not_inverted():
 
 def test_the_scene_probability_rises_with_the_share_of_reliable_views():
     assert verdict_of(masked(failing("clean"))) > verdict_of(masked(failing("misses"))) > 0.5
-    assert scene_probability(0.55, 10) == pytest.approx(0.5)
+    assert scene_probability(0.58, 10) == pytest.approx(0.5)
     decoy = failing("consistent") & (KINDS == DECOY)
     decoy[8:] = False
     untouched = estimate(masked(decoy))

@@ -15,7 +15,7 @@ from scipy.special import logit
 
 from gsc_jax.estimators.robust import estimator, gaussian_visibility
 from gsc_jax.estimators.robust.class_roles import Roles, assign_roles
-from gsc_jax.estimators.robust.estimator import RobustEstimator, flag_weight
+from gsc_jax.estimators.robust.estimator import RobustEstimator, error_weight
 from gsc_jax.estimators.robust.gaussian_visibility import visibility
 from gsc_jax.evidence.lifting import Evidence
 
@@ -43,11 +43,13 @@ class WithRoles(RobustEstimator):
     """`robust` with the fits given.
 
     `fits` are the groups that are the classes of each, what is authentic first, then the edit;
-    `turned` is the number of views that are inverted, which are the first ones.
+    `turned` is the number of views that are inverted, which are the first ones, and `missed` the
+    share of what the edit shows that is clear in views that flag it.
     """
 
     fits: tuple[tuple[int, ...], ...] = ALL_GROUPS
     turned: int = 0
+    missed: float = 0.0
 
     def _roles_by_fit(self, seen: object, flagged: object, represents: object) -> list[Roles]:
         del seen, flagged, represents
@@ -58,6 +60,7 @@ class WithRoles(RobustEstimator):
                 tampered=np.arange(len(groups)) == 1,
                 rates=FLAGGED[list(groups)].mean(axis=1),
                 seen=np.full(len(groups), float(VIEWS)),
+                missed=self.missed,
             )
             for groups in self.fits
         ]
@@ -70,12 +73,14 @@ def log_odds_of_one(
     near: np.ndarray = KINDS[:0],
     false_alarms: float = 0.0,
     inverted: int = 0,
+    missed: float = 0.0,
     fits: tuple[tuple[int, ...], ...] = ALL_GROUPS,
 ) -> float:
     """Log odds that one Gaussian is edited, whose weight is in the masks to these shares by view.
 
     The Gaussians `near` it, at distances of 1, 2, ..., have a class; all others are far away. The
-    masks have a share of `false_alarms` of each authentic Gaussian; the first ones are `inverted`.
+    masks have a share of `false_alarms` of each authentic Gaussian; the first ones are `inverted`;
+    a share of the edit is `missed`.
     """
     shares = np.vstack([FLAGGED[KINDS].astype(float), share])
     shares[AUTHENTIC] = false_alarms
@@ -84,7 +89,7 @@ def log_odds_of_one(
     means = np.random.default_rng(0).normal(size=(len(shares), 3))
     means[-1] = ODD
     means[near] = ODD + np.outer(np.arange(1, len(near) + 1), [0, 1, 0])
-    found = WithRoles(smoothing=smoothing, fits=fits, turned=inverted).from_masks(
+    found = WithRoles(smoothing=smoothing, fits=fits, turned=inverted, missed=missed).from_masks(
         Evidence(total=total, tampered=(total * shares.T).astype(np.float32)), means
     )
     return float(logit(found.probability[-1].astype(np.float64)))
@@ -204,15 +209,24 @@ def test_a_flag_counts_less_against_distractors_too():
     assert found == pytest.approx(of_a_flag * flags - 3 * misses, abs=0.02)
 
 
+def test_a_miss_counts_less_if_masks_miss_parts_of_the_edit():
+    """Five views miss it if it is edited; three do, and three flag it, if it is a distractor."""
+    share = [1.0] * 4 + [0.0] * 5 + [1.0] * 3
+    assert log_odds_of_one(share) == pytest.approx(3, abs=0.01)
+    of_a_miss = 3 - np.log(0.2 * (1 + np.exp(3)))
+    found = log_odds_of_one(share, missed=0.2)
+    assert found == pytest.approx(3 * 3 + 3 * of_a_miss - 5 * of_a_miss, abs=0.01)
+
+
 @pytest.mark.parametrize("log_odds", [1e-9, 0.5, 3, 40, 1e9])
-def test_weight_of_a_flag(log_odds):
+def test_weight_of_an_error(log_odds):
     error = np.exp(-np.logaddexp(0, log_odds))
-    assert flag_weight(log_odds, 0.0) == pytest.approx(min(log_odds, 300 * np.log(10)))
-    assert flag_weight(log_odds, error / 2) == pytest.approx(flag_weight(log_odds, 0.0))
+    assert error_weight(log_odds, 0.0) == pytest.approx(min(log_odds, 300 * np.log(10)))
+    assert error_weight(log_odds, error / 2) == pytest.approx(error_weight(log_odds, 0.0))
     for rate in (0.1, 0.3, 0.5):
         weight = min(log_odds, np.log((1 - error) / rate))
-        assert flag_weight(log_odds, rate) == pytest.approx(weight)
-    assert flag_weight(log_odds, 0.9) == flag_weight(log_odds, 0.5) > 0
+        assert error_weight(log_odds, rate) == pytest.approx(weight)
+    assert error_weight(log_odds, 0.9) == error_weight(log_odds, 0.5) > 0
 
 
 @pytest.mark.parametrize("log_odds", [0.5, 3, 1e3, 1e9])

@@ -43,7 +43,7 @@ HEADLINES: dict[Outcome, str] = {
 }
 COUNTS: dict[str, dict[Outcome, tuple[int, int]]] = {
     "masks and attributes": {"evidence": (0, 89), "inconclusive": (10, 7), "none": (14, 0)},
-    "masks": {"evidence": (3, 92), "inconclusive": (8, 12), "none": (19, 1)},
+    "masks": {"evidence": (0, 91), "inconclusive": (11, 14), "none": (19, 0)},
     "attributes": {"evidence": (0, 85), "inconclusive": (9, 52), "none": (85, 143)},
 }
 """By kind of evidence and by outcome, how many authentic and how many edited test scenes had it;

@@ -36,7 +36,7 @@ MIN_SHARPNESS = 0.75
 """Least mean of |2 q - 1| of a distractor or a second edit over the views that see it."""
 SECOND_EDIT = 0.8
 """A class whose flag frequency exceeds this multiple of the tampered one's is a second edit."""
-EVEN_RATE, LOG_ODDS_PER_RATE = 0.55, 12.0
+EVEN_RATE, LOG_ODDS_PER_RATE = 0.58, 12.0
 """Logistic regression of "edited" on the flag rate of the tampered class."""
 PSEUDO_VIEWS = 2.0
 """Pseudo-views at the even rate, so that few views give a probability near one half."""
@@ -50,6 +50,7 @@ class Roles:
 
     `patterns` (C, V) bool say whether a class is flagged in a view, after the masks of the
     `inverted` views (V,) bool are turned; `rates` (C,), in which share of the `seen` (C,) views.
+    `missed` is the share of what tampered classes show that is clear in the views that flag them.
     """
 
     inverted: np.ndarray
@@ -57,6 +58,7 @@ class Roles:
     tampered: np.ndarray
     rates: np.ndarray
     seen: np.ndarray
+    missed: float
 
     @property
     def rate(self) -> float:
@@ -74,7 +76,7 @@ def scene_probability(rate: float, views: float) -> float:
     """Probability in (0, 1) that a scene was edited, from how consistently a class is flagged.
 
     `rate` is the share of views that flag the tampered class, of the `views` that see it. The
-    probability is one half at a rate of 0.55, and close to it for few views: an authentic region
+    probability is one half at a rate of 0.58, and close to it for few views: an authentic region
     may be flagged as well, but in fewer of the views that see it.
     """
     rate = (rate * views + EVEN_RATE * PSEUDO_VIEWS) / (views + PSEUDO_VIEWS)
@@ -122,6 +124,7 @@ def assign_roles(
         tampered=(np.arange(len(patterns)) > 0) & (np.arange(len(patterns)) < 2 + len(second)),
         rates=table.flag_frequency(1e-30)[order],
         seen=seen.sum(axis=1)[order],
+        missed=table.missed(weights, np.append(first, second)),
     )
 
 
@@ -153,6 +156,11 @@ class _RateTable:
     def differs(self, other: int) -> np.ndarray:
         """Which views separate each class from another one, shape (K, V)."""
         return np.abs(self.rates - self.rates[other]) > RATE_DIFFERENCE
+
+    def missed(self, weights: np.ndarray, classes: np.ndarray) -> float:
+        """Share of what some classes show, by weights (K, V), that views which flag them miss."""
+        shown = (weights * (self.rates > 0.5))[classes]
+        return float((shown * (1 - self.rates[classes])).sum() / max(shown.sum(), 1e-30))
 
     def heaviest(self, mass: np.ndarray) -> np.ndarray:
         """Mask of the classes that share a pattern and together have most weight, (K,) bool."""

@@ -19,7 +19,7 @@ from scipy.special import expit
 from gsc_jax.estimators.protocol import NONE_FLAGGED, Estimator, Finding, Prior, unanimous
 from gsc_jax.estimators.robust import diagnostics, gaussian_visibility, prior_fusion
 from gsc_jax.estimators.robust.class_roles import Roles, assign_roles, scene_probability
-from gsc_jax.estimators.robust.latent_classes import fit_classes
+from gsc_jax.estimators.robust.latent_classes import fit_classes, nearest_classes
 from gsc_jax.estimators.robust.mean_field import smooth
 from gsc_jax.evidence.lifting import EvidenceOfViews
 from gsc_jax.evidence.masks import MaskRule
@@ -196,15 +196,17 @@ class RobustEstimator(Estimator):
             seed=self.seed,
         )
         fitted = map(np.asarray, (fit.classes.rates, fit.classes.shares, fit.responsibilities))
-        fits = [
-            assign_roles(
-                rates[shares > 0],
-                (members[shares > 0] * represents) @ seen.T,
-                inversion=self.inversion and len(seen) > 1,  # one alone differs from no other
-                distractors=self.distractors,
+        fits = []
+        for rates, shares, members in zip(*fitted, strict=True):
+            classes, nearest = nearest_classes(members, shares, represents)
+            fits.append(
+                assign_roles(
+                    rates[classes],
+                    (nearest * represents) @ seen.T,
+                    inversion=self.inversion and len(seen) > 1,  # one alone differs from no other
+                    distractors=self.distractors,
+                )
             )
-            for rates, shares, members in zip(*fitted, strict=True)
-        ]
         fits = [roles for roles in fits if roles is not None]  # those of one class have no edit
         return fits[: len(fits) // 2 | 1]
 
@@ -212,8 +214,8 @@ class RobustEstimator(Estimator):
         self, evidence: EvidenceOfViews, fits: Sequence[Roles], sample: tuple[np.ndarray, ...]
     ) -> tuple[np.ndarray, np.ndarray]:
         """Log odds of tampering by F fits, (F, N); nearest tampered and other class, (F, 2, N)."""
-        shares = [authentic_flag_share(roles, *sample) for roles in fits]
-        of_flag = [np.float32(flag_weight(self.class_log_odds, share)) for share in shares]
+        shares = [(authentic_flag_share(roles, *sample), roles.missed) for roles in fits]
+        weights = [[error_weight(self.class_log_odds, one) for one in both] for both in shares]
         log_odds = np.empty((len(fits), evidence.shape[1]), np.float32)
         nearest = np.empty((len(fits), 2, evidence.shape[1]), np.int8)
         # In blocks: arrays of all Gaussians, views and classes would take gigabytes.
@@ -221,7 +223,7 @@ class RobustEstimator(Estimator):
             seen, flagged = gaussian_visibility.visibility(evidence, block, self.half_weight)
             for i, roles in enumerate(fits):
                 errors = pattern_errors(roles, seen, flagged)
-                costs = of_flag[i] * errors[0] + np.float32(self.class_log_odds) * errors[1]
+                costs = weights[i][0] * errors[0] + weights[i][1] * errors[1]
                 # Only the nearest class of each kind counts: similar distractors must not add up.
                 kinds = [np.flatnonzero(kind) for kind in (roles.tampered, ~roles.tampered)]
                 best = np.stack([kind[costs[kind].argmin(axis=0)] for kind in kinds])
@@ -274,10 +276,11 @@ def authentic_flag_share(
     return float(np.median(flags / np.maximum(shown, 1e-30)))
 
 
-def flag_weight(log_odds: float, rate: float) -> float:
-    """Log odds against a class from one view that flags a Gaussian and, by the class, should not.
+def error_weight(log_odds: float, rate: float) -> np.float32:
+    """Log odds against a class from one view whose mask contradicts it.
 
-    They are `log_odds` as long as masks flag at most 1 / (1 + exp(log_odds)) of what is authentic,
-    and lower for a higher share, `rate`, which counts as one half at most.
+    They are `log_odds` as long as at most 1 / (1 + exp(log_odds)) of the masks do so for members of
+    the class, and lower for a higher share, `rate`, which counts as one half at most.
     """
-    return float(min(log_odds, -np.log(min(0.5, max(1e-300, rate))) - np.logaddexp(0, -log_odds)))
+    least = -np.logaddexp(0, -log_odds)
+    return np.float32(min(log_odds, least - np.log(min(0.5, max(1e-300, rate)))))

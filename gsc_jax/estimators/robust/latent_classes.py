@@ -21,6 +21,8 @@ RATE_FLOOR = 0.02
 TOLERANCE = 1e-4
 """EM stops when the mean log likelihood per Gaussian rises by less."""
 MAX_ITERATIONS = 100
+SHARE_ITERATIONS = 20
+"""Iterations of EM for the shares of classes in the whole scene."""
 MIN_PADDED_VIEWS = 16
 """Views are padded to a power of two from here on, to avoid compiling for each number of views."""
 
@@ -150,3 +152,23 @@ def _start_rates(flagged: Array, clear: Array, count: int, key: Array) -> Array:
 
     rates, _ = jax.lax.fori_loop(1, count, pick, (jnp.tile(mean, (count, 1)), distance(mean)))
     return jnp.clip(rates, RATE_FLOOR, 1 - RATE_FLOOR)
+
+
+def nearest_classes(
+    responsibilities: np.ndarray, shares: np.ndarray, represents: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The classes that are the most probable one of some Gaussian, (C,), and of which, (C, S) bool.
+
+    Half of the sample is drawn from what is flagged, so that an edit has a large share of it. By
+    these `shares` (K,), Gaussians that no view of the edit shows would belong to its class, too. So
+    EM estimates those of the whole scene (Saerens, Latinne and Decaestecker 2002).
+    """
+    used = np.flatnonzero(shares > 0)
+    likelihood = responsibilities[used] / shares[used, None]
+    population, members = shares[used], responsibilities[used]
+    for _ in range(SHARE_ITERATIONS):
+        population = members @ represents / represents.sum()
+        members = likelihood * population[:, None]
+        members /= members.sum(axis=0)
+    classes, nearest = np.unique(members.argmax(axis=0), return_inverse=True)
+    return used[classes], nearest == np.arange(len(classes))[:, None]

@@ -233,9 +233,6 @@ def render(
     if not isinstance(camera, Camera):
         settings = {"background": background, "near": near}
         return _stacked(lambda one: render(gaussians, one, **settings), camera)
-    traced = isinstance(background, Tracer)
-    if np.shape(background) != (3,) or not (traced or all(0 <= x <= 1 for x in background)):
-        raise ValueError(f"background must be three numbers in [0, 1], got {background}")
     view = make_view(gaussians, camera, near=near)
     return render_view(view, gaussians, camera, background=background)
 
@@ -256,8 +253,12 @@ def render_view(
         RGB (H, W, 3) in [0, 1] and alpha (H, W) in [0, 1].
 
     Raises:
-        ValueError: if the view is one of another number of Gaussians or of another image size.
+        ValueError: if the view is one of another number of Gaussians or of another image size, or
+            the background is no colour in [0, 1].
     """
+    traced = isinstance(background, Tracer)
+    if np.shape(background) != (3,) or not (traced or all(0 <= x <= 1 for x in background)):
+        raise ValueError(f"background must be three numbers in [0, 1], got {background}")
     require_view_of(view, gaussians, camera)
     rgb, alpha = composite_with_alpha(view, colors(gaussians.sh, gaussians.means, camera.center))
     behind = (1.0 - alpha)[..., None] * jnp.asarray(background, jnp.float32)[None, None]

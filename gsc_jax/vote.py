@@ -32,13 +32,15 @@ def cast_votes(centers: Array, depths: Array, mask: Array) -> jax.Array:
     """Compute the votes V_ij of one view j, 1, 0 or -1, shape (N,) int32 (GS-Checker, eq. 5).
 
     The centres are in pixels, shape (N, 2), the first of which spans 0 to 1; their depths (N,) are
-    not positive behind the camera; the mask is boolean, shape (H, W).
+    not positive behind the camera; the mask, shape (H, W), is boolean, or
+    tampered where it exceeds 0.5.
     """
     height, width = mask.shape
     size = jnp.array([[width, height]], centers.dtype)
     inside = jnp.all((centers >= 0) & (centers < size), axis=1) & (depths > 0)
     column, row = jnp.where(inside[:, None], centers, 0.0).astype(jnp.int32).T
-    return jnp.where(inside, mask[row, column].astype(jnp.int32), ABSTAIN)
+    chosen = mask[row, column].astype(jnp.float32)
+    return jnp.where(inside, (chosen > 0.5).astype(jnp.int32), ABSTAIN)
 
 
 def tally(votes: Array) -> Tally:

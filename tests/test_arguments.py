@@ -23,6 +23,10 @@ def scored(value: float) -> Labelled:
     return Labelled(np.full(COUNT, value), np.ones(COUNT, bool))
 
 
+def big_endian(values: object) -> np.ndarray:
+    return np.asarray(values).astype(">f4")
+
+
 def prior(probability=0.5, verdict=0.5, shape=(COUNT,)) -> gsc_jax.Prior:
     return gsc_jax.Prior(
         probability=np.full(shape, probability), verdict=verdict, known=np.ones(shape, bool)
@@ -31,11 +35,21 @@ def prior(probability=0.5, verdict=0.5, shape=(COUNT,)) -> gsc_jax.Prior:
 
 WRONG: dict[str, Callable[[], object]] = {
     "near": lambda: gsc_jax.make_view(SCENE, VIEW, near=NAN),
+    "near inf": lambda: gsc_jax.render(SCENE, VIEW, near=float("inf")),
+    "near None": lambda: gsc_jax.render(SCENE, VIEW, near=None),  # type: ignore
+    "near of one": lambda: gsc_jax.render(SCENE, VIEW, near=np.array([0.2])),  # type: ignore
+    "big-endian scene": lambda: gsc_jax.render(jax.tree.map(big_endian, SCENE), VIEW),
+    "big-endian camera": lambda: gsc_jax.render(
+        SCENE, dataclasses.replace(VIEW, viewmat=big_endian(VIEW.viewmat))
+    ),
     "lockstep 0": lambda: gsc_jax.make_view(SCENE, VIEW, lockstep=0),
     "lockstep -1": lambda: gsc_jax.make_view(SCENE, VIEW, lockstep=-1),
     "touching, of fewer": lambda: gsc_jax.make_view(SCENE, VIEW, touching=np.ones(COUNT - 1, bool)),
     "touching, numbers": lambda: gsc_jax.make_view(SCENE, VIEW, touching=np.ones(COUNT)),
     "background": lambda: gsc_jax.render(SCENE, VIEW, background=(0.0, NAN, 0.0)),
+    "background of a view": lambda: gsc_jax.render_view(
+        gsc_jax.make_view(SCENE, VIEW), SCENE, VIEW, background=(0.0, NAN, 0.0)
+    ),
     "background of two": lambda: gsc_jax.render(SCENE, VIEW, background=(0.0, 0.0)),  # type: ignore
     "features": lambda: gsc_jax.render_features(SCENE, VIEW, np.full((COUNT, 1), NAN)),
     "maps": lambda: gsc_jax.accumulate(SCENE, VIEW, np.full((15, 17, 1), NAN)),
@@ -43,6 +57,13 @@ WRONG: dict[str, Callable[[], object]] = {
     "feature of fewer": lambda: gsc_jax.rendered_share(SCENE, VIEW, np.ones(COUNT - 1)),
     "rule": lambda: gsc_jax.view_mask(SCENE, VIEW, ALL, rule="shares"),  # type: ignore
     "threshold": lambda: gsc_jax.view_mask(SCENE, VIEW, ALL, threshold=NAN),
+    "threshold None": lambda: gsc_jax.view_mask(SCENE, VIEW, ALL, threshold=None),  # type: ignore
+    "a class as configuration": lambda: gsc_jax.locate(
+        SCENE,
+        [VIEW],
+        None,
+        config=gsc_jax.RobustEstimator,  # type: ignore
+    ),
     "scores": lambda: gsc_jax.view_mask(SCENE, VIEW, scored(NAN)),
     "scores per view": lambda: gsc_jax.view_mask(SCENE, VIEW, scored(NAN), rule="per-view"),
     "width 0": lambda: camera(0, 15),
@@ -53,6 +74,7 @@ WRONG: dict[str, Callable[[], object]] = {
     "width 1.5": lambda: dataclasses.replace(VIEW, width=1.5),
     "probability": lambda: prior(probability=NAN),
     "verdict": lambda: prior(verdict=NAN),
+    "verdict None": lambda: prior(verdict=None),  # type: ignore
     "shape of a prior": lambda: prior(shape=(COUNT, 1)),
     "min_verdict": lambda: estimate_from_attributes(forensic_evidence(SCENE), min_verdict=NAN),
     "shape of means": lambda: reshaped("means", (COUNT, 2)),

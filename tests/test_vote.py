@@ -24,6 +24,12 @@ def test_a_center_votes_by_the_pixel_that_contains_it_or_abstains():
     assert cast_votes(centers, depths, MASK).tolist() == [-1, -1, -1, -1]
 
 
+def test_maps_vote_tampered_above_one_half():
+    centers, depths = np.full((1, 2), 0.5, np.float32), np.ones(1, np.float32)
+    for level, vote in ((np.uint8(255), 1), (np.float32(0.7), 1), (np.float32(0.5), 0)):
+        assert cast_votes(centers, depths, np.full((2, 2), level)).tolist() == [vote]
+
+
 def test_abstentions_compete_only_in_the_official_consensus():
     votes = {
         "3 of 5": [1, 1, 1, 0, 0],

@@ -157,8 +157,7 @@ def _image_files(folder: Path) -> list[str]:
     if not images:
         raise InputError(
             f"{folder}: contains no images, expected a mask per camera "
-            f"({', '.join(masks.IMAGE_SUFFIXES)}); name the folder that holds them, or leave out "
-            "--masks to examine the attributes alone"
+            f"({', '.join(masks.IMAGE_SUFFIXES)}); name the folder that holds them"
         )
     return images
 

@@ -31,7 +31,7 @@ def configured(method: str | None = None, config: Estimator | None = None) -> Es
         raise ValueError(f"method must be one of {', '.join(METHODS)}, got {method!r}")
     if config is None:
         return METHODS[method or "robust"]
-    if not hasattr(config, "estimate"):
+    if isinstance(config, type) or not hasattr(config, "estimate"):
         raise ValueError(f"config must be an estimator, got {type(config).__name__}")
     if method not in (None, config.name):
         raise ValueError(f"config is of the method {config.name!r}, got method {method!r}")

@@ -11,7 +11,7 @@ import numpy as np
 from gsc_jax.evidence.lifting import EvidenceOfViews
 from gsc_jax.evidence.masks import MaskRule
 from gsc_jax.evidence.observation import Observation
-from gsc_jax.scene.errors import BELOW_1, check_ranges
+from gsc_jax.scene.errors import BELOW_1, check_ranges, in_range
 from gsc_jax.scene.pytree import short_repr
 
 Reliability = Literal["reliable", "uninformative", "inverted", "unseen"]
@@ -71,8 +71,8 @@ class Prior:
                 raise ValueError(f"{name} must be a NumPy array, got {type(value).__name__}")
         if self.probability.ndim != 1:
             raise ValueError(f"probability must have shape (N,), got {self.probability.shape}")
-        if not 0 <= self.verdict <= 1:
-            raise ValueError(f"verdict must be in [0, 1], got {self.verdict}")
+        if not in_range(self.verdict, 0.0, 1.0):
+            raise ValueError(f"verdict must be in [0, 1], got {self.verdict!r}")
         within = (self.probability >= 0) & (self.probability <= 1)
         if not within.all():
             found = f"{self.probability[~within][0]} in row {np.argmin(within)}"

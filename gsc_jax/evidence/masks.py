@@ -22,6 +22,7 @@ from gsc_jax.render.projection import NEAR
 from gsc_jax.render.spherical_harmonics import colors
 from gsc_jax.render.tiles import make_view
 from gsc_jax.scene import Array, Camera, Gaussians
+from gsc_jax.scene.errors import BELOW_1, in_range
 from gsc_jax.scene.gaussians import transparent_rows
 from gsc_jax.scene.parallel import map_views
 from gsc_jax.splat import composite_with_alpha, require_finite
@@ -94,8 +95,8 @@ def view_mask(
     """
     if rule not in (known := typing.get_args(MaskRule)):
         raise ValueError(f"rule must be one of {', '.join(known)}, got {rule!r}")
-    if not 0 <= threshold < 1:
-        raise ValueError(f"threshold must be in [0, 1), got {threshold}")
+    if not in_range(threshold, 0.0, BELOW_1):
+        raise ValueError(f"threshold must be in [0, 1), got {threshold!r}")
     if rule == "per-view":
         return _per_view_mask(gaussians, camera, scored, threshold=threshold, near=near)
     if rule == "share":

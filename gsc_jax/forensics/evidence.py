@@ -22,6 +22,7 @@ from gsc_jax.forensics.quantisation import quantisation
 from gsc_jax.forensics.row_order import row_order
 from gsc_jax.forensics.traces import NEIGHBOURS, Trace, any_trace, quaternion_convention, sh_degree
 from gsc_jax.scene import Gaussians
+from gsc_jax.scene.errors import in_range
 from gsc_jax.scene.gaussians import usable_rows
 from gsc_jax.scene.neighbours import order_of_leaves
 from gsc_jax.scene.pytree import short_repr
@@ -154,7 +155,7 @@ def estimate_from_attributes(
     Raises:
         ValueError: if the threshold or the least scene probability is outside of [0, 1].
     """
-    if not (0 <= threshold <= 1 and 0 <= min_verdict <= 1):
+    if not (in_range(threshold, 0.0, 1.0) and in_range(min_verdict, 0.0, 1.0)):
         raise ValueError(
             f"threshold and min_verdict must be in [0, 1], got {threshold} and {min_verdict}"
         )

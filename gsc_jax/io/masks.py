@@ -28,6 +28,8 @@ TRANSPARENT_LEVEL = {"1": 1 / 255, "L;2": 85, "L;4": 17, "RGB;16B": 1 / 256}
 """Level of a pixel per level of the transparent colour, where Pillow scales only the pixels."""
 MIN_IS_WHITE = (262, 0)
 """TIFF tag and value of inverted levels, which Pillow ignores for 16 bits."""
+ORIENTATION = 0x0112
+"""EXIF tag of how a viewer turns an image, 1 if it does not."""
 _OPENING = threading.Lock()
 BYTES_PER_PIXEL = 32
 """Memory of a coloured mask while it is reduced to one channel and resized, with 8 bytes each."""
@@ -78,6 +80,8 @@ def read_grey(path: str | Path, *, max_bytes: int | None = None) -> np.ndarray:
             raise InputError(f"{path}: holds several pages or frames, expected one; save one")
         image.seek(0)
         pixels = _decoded(image)
+        if image.getexif().get(ORIENTATION, 1) != 1:  # afterwards: Pillow may load the image for it
+            raise InputError(f"{path}: its EXIF orientation turns it; save it upright without one")
     if pixels.dtype.name not in ("bool", "uint8", "uint16") and pixels.dtype.kind != "f":
         raise InputError(f"{path}: holds {pixels.dtype} levels, expected 1, 8 or 16 bits or float")
     if pixels.dtype.kind == "f" and not ((pixels >= 0) & (pixels <= 1)).all():

@@ -31,8 +31,8 @@ from gsc_jax.scene.pytree import short_repr
 
 LUMA = np.array([0.299, 0.587, 0.114])
 """Weights of red, green and blue in the luminance (ITU-R BT.601)."""
-PACKED = {b"\x1f\x8b": "gunzip", b"PK": "unzip", b"BZh": "bunzip2", b"\xfd7zXZ": "unxz"}
-"""Program that unpacks a compressed file, by the first bytes of the file."""
+PACKED = {b"\x1f\x8b": "gunzip -c", b"PK": "unzip -p", b"BZh": "bunzip2 -c", b"\xfd7zXZ": "xz -dc"}
+"""Command that unpacks a compressed file, by the first bytes of the file."""
 MAX_HEADER_BYTES = 2**16
 """Headers of scenes have 2 kB; plyfile would search the whole file for the end of one."""
 BYTES_PER_BYTE, BYTES_PER_NUMBER, BYTES_PER_LIST = 3, 8, 160
@@ -206,7 +206,7 @@ def _checked_header(path: Path, max_bytes: int | None) -> bytes:
     with path.open("rb") as file:
         header, *end = re.split(rb"(?<=[\r\n])end_header", file.read(MAX_HEADER_BYTES), maxsplit=1)
     if tool := next((tool for magic, tool in PACKED.items() if header.startswith(magic)), None):
-        raise InputError(f"{path}: is packed; unpack it first: {tool} {shown(path.name)}")
+        raise InputError(f"{path}: is packed; unpack it first: {tool} {shown(path.name)} > new.ply")
     if not header.startswith(b"ply") or not end:
         if header.startswith(b"version https://git-lfs"):
             raise InputError(f"{path}: is a pointer of git-lfs; get the file with git lfs pull")

@@ -88,7 +88,7 @@ def _camera(item: Any, folder: Path) -> Camera:
     y = _focal(frame.fl_y, frame.camera_angle_y, size[1])
     if not (x or y):
         raise ValueError("lacks 'fl_x' and 'camera_angle_x'; export the cameras again")
-    name = re.sub(r"^(\.{0,2}/)+", "", frame.file_path)
+    name = re.sub(r"^([A-Za-z]:)?(\.{0,2}[\\/])+", "", frame.file_path)
     pose = np.array(frame.transform_matrix) * OPENGL_TO_OPENCV
     return pinhole(name, pose, focal=(x or y, y or x), center=(frame.cx, frame.cy), size=size)
 

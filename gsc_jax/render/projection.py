@@ -17,6 +17,7 @@ from jax.core import Tracer
 
 from gsc_jax.scene import Array, Camera, Gaussians, pytree
 from gsc_jax.scene.camera import check_camera
+from gsc_jax.scene.errors import in_range
 from gsc_jax.scene.gaussians import IDENTITY_QUATERNION, MAX_LOG_SCALE, check_shapes
 
 NEAR = 0.2
@@ -60,8 +61,8 @@ def project(gaussians: Gaussians, camera: Camera, *, near: float = NEAR) -> Spla
     """
     check_shapes(gaussians)
     check_camera(camera)
-    if not isinstance(near, Tracer) and not near > 0:
-        raise ValueError(f"near must be positive, got {near}")
+    if not isinstance(near, Tracer) and not in_range(np.asarray(near)[()], 1e-30, 1e30):
+        raise ValueError(f"near must be positive, got {near!r}")
     parameters = gaussians.means, gaussians.log_scales, gaussians.quats, gaussians.logit_opacities
     size = float(camera.width), float(camera.height)  # no constants, which JAX would compile
     return _project(parameters, Pinhole(camera.viewmat, camera.K, size), near)

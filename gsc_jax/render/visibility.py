@@ -144,5 +144,5 @@ def _near_message(depths: np.ndarray, near: float) -> str:
     cut, fitting = np.mean(ahead <= near), 0.5 * np.percentile(ahead, 1)
     return (
         f"the near plane at {near:g} cuts away {cut:.0%} of the Gaussians in front of the cameras; "
-        f"the scene is small: use near={fitting:.1g} (--near), or scale scene and cameras up"
+        f"use near={fitting:.1g} (--near), or scale scene and cameras up"
     )

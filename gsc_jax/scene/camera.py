@@ -74,6 +74,8 @@ def check_camera(camera: Camera) -> None:
             raise InputError(f"{wanted} an array ({side}, {side}), got {found}")
         if isinstance(matrix, Tracer):
             continue
+        if not matrix.dtype.isnative:  # JAX would take the bytes as they are
+            raise InputError(f"{wanted} in the byte order of the machine, got {matrix.dtype}")
         values = np.asarray(matrix)  # at once: a jit around would trace operations of JAX
         if not (np.isfinite(values).all() and np.allclose(values[-1], last, atol=1e-4)):
             raise InputError(

@@ -125,6 +125,8 @@ def check_shapes(gaussians: Gaussians) -> None:
         if (found := getattr(values, "shape", type(values).__name__)) not in shapes:
             known = " or ".join(map(str, shapes))
             raise ValueError(f"{name} of {count} Gaussians must be {known}, got {found}")
+        if not values.dtype.isnative:  # JAX would take the bytes as they are
+            raise ValueError(f"{name} must be in the byte order of the machine, got {values.dtype}")
 
 
 def invalid_rows(gaussians: Gaussians) -> dict[str, np.ndarray]:

@@ -172,6 +172,18 @@ def test_zero_one_overrides_the_default(tmp_path):
     np.testing.assert_allclose(dark, MASK / 255, rtol=1e-6)
 
 
+@pytest.mark.parametrize("suffix", [".jpg", ".png"])
+def test_a_mask_that_viewers_turn_is_refused(tmp_path, suffix):
+    turned = Image.Exif()
+    turned[0x0112] = 3
+    WHITE.copy().save(tmp_path / f"mask{suffix}", exif=turned)
+    with pytest.raises(InputError, match="its EXIF orientation turns it; save it upright"):
+        masks.read_probability(tmp_path / f"mask{suffix}")
+    turned[0x0112] = 1
+    WHITE.copy().save(tmp_path / f"mask{suffix}", exif=turned)
+    assert (masks.read_probability(tmp_path / f"mask{suffix}") == 1).all()
+
+
 def test_files_that_are_not_masks_are_refused_in_one_line(tmp_path):
     noise = np.random.default_rng(0).integers(0, 256, (16, 16, 3), dtype=np.uint8)
     Image.fromarray(noise).save(tmp_path / "photo.png")

@@ -84,7 +84,9 @@ def test_coefficients_of_zero_are_no_distortion(tmp_path):
     assert_same(load_cameras(path)[0], random_camera())
 
 
-@pytest.mark.parametrize("name", ["./a/b.png", "../a/b.png", "../../a/b.png", "/a/b.png"])
+@pytest.mark.parametrize(
+    "name", ["./a/b.png", "../a/b.png", "../../a/b.png", "/a/b.png", r"C:\a/b.png", r".\a/b.png"]
+)
 def test_a_camera_is_named_by_its_path_without_leading_dots(tmp_path, name):
     data = SHARED | {"frames": [FRAME | {"file_path": name}]}
     (camera,) = load_cameras(write_json(tmp_path / "transforms.json", data))

@@ -40,7 +40,7 @@ PACKAGES = ("gsc_jax", "numpy", "jax", "jaxlib", "optax")
 
 @dataclasses.dataclass(frozen=True)
 class Located:
-    """A finished run of `locate`; the masks of the result are files in the folder by now.
+    """A finished run of `locate`, whose masks are files in the folder of the results.
 
     Times and warnings of the result include those of reading and writing. `inputs` has size and
     SHA-256 of each input, by path; `report` is the content of result.json once it is written.
@@ -91,7 +91,7 @@ def planned_outputs(
 def write_report(
     folder: Path, command: dict, located: Located, *, monitor: Monitor
 ) -> dict[str, Any]:
-    """Write report.html, and result.json with what is returned and all files of the folder."""
+    """Write report.html and result.json; return the content of the latter."""
     outputs = sorted([*files_below(folder), "report.html", "result.json"])
     report = jsonable({**numbers(command, located), "outputs": outputs})
     page = report_page(folder, report, located.result, monitor=monitor)

@@ -29,7 +29,7 @@ TRANSPARENT_LEVEL = {"1": 1 / 255, "L;2": 85, "L;4": 17, "RGB;16B": 1 / 256}
 MIN_IS_WHITE = (262, 0)
 """TIFF tag and value of inverted levels, which Pillow ignores for 16 bits."""
 ORIENTATION = 0x0112
-"""EXIF tag of how a viewer turns an image, 1 if it does not."""
+"""EXIF tag that tells viewers how to turn an image; the value 1 is upright."""
 _OPENING = threading.Lock()
 BYTES_PER_PIXEL = 32
 """Memory of a coloured mask while it is reduced to one channel and resized, with 8 bytes each."""

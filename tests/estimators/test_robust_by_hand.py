@@ -210,7 +210,10 @@ def test_a_flag_counts_less_against_distractors_too():
 
 
 def test_a_miss_counts_less_if_masks_miss_parts_of_the_edit():
-    """Five views miss it if it is edited; three do, and three flag it, if it is a distractor."""
+    """Five views miss the Gaussian, if it is edited.
+
+    By the pattern of the nearest distractor, three views miss it and three flag it wrongly.
+    """
     share = [1.0] * 4 + [0.0] * 5 + [1.0] * 3
     assert log_odds_of_one(share) == pytest.approx(3, abs=0.01)
     of_a_miss = 3 - np.log(0.2 * (1 + np.exp(3)))

@@ -14,7 +14,7 @@ from gsc_jax.locate import Result
 
 COLOURS = INK, MUTED, TAMPERED, AUTHENTIC = "#111111", "#222222", "#333333", "#444444"
 VARIABLES = "ink", "muted", "tampered", "authentic"
-"""Colours in the SVG of matplotlib, and the variables of report.css that replace them."""
+"""Colours in which matplotlib draws, and the variables of report.css that replace them."""
 STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "gsc_jax",  # reproducible ids

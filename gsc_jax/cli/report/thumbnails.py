@@ -35,7 +35,7 @@ class Thumbnail(NamedTuple):
 
 
 def thumbnails(folder: Path, names: Sequence[str]) -> Iterator[list[Thumbnail]]:
-    """The existing layers of each view of a folder of results, in the order of `LAYERS`."""
+    """The images of each view in a folder of results: those of `LAYERS` that exist."""
     side = thumbnail_side(len(names))
 
     def of_view(name: str) -> list[Thumbnail]:

@@ -77,7 +77,7 @@ def headline(verdict: float | None, tampered: int) -> str:
 
 
 def explained(report: Mapping[str, Any]) -> str:
-    """`meaning` of the scene probability of a report, by the evidence that it uses."""
+    """What the scene probability of a report means, by the evidence it rests on."""
     attributes, verdict, basis = report.get("attributes") or {}, report["verdict"], "attributes"
     if (alone := attributes.get("verdict")) is None:
         basis = "masks"

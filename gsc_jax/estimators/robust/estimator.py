@@ -279,8 +279,8 @@ def authentic_flag_share(
 def error_weight(log_odds: float, rate: float) -> np.float32:
     """Log odds against a class from one view whose mask contradicts it.
 
-    They are `log_odds` as long as at most 1 / (1 + exp(log_odds)) of the masks do so for members of
-    the class, and lower for a higher share, `rate`, which counts as one half at most.
+    `rate` is the share of the members of the class that masks contradict. The log odds are
+    `log_odds` up to a rate of 1 / (1 + exp(log_odds)), and lower above; it counts as 0.5 at most.
     """
     least = -np.logaddexp(0, -log_odds)
     return np.float32(min(log_odds, least - np.log(min(0.5, max(1e-300, rate)))))

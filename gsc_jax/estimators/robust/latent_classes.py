@@ -165,7 +165,7 @@ def nearest_classes(
     """
     used = np.flatnonzero(shares > 0)
     likelihood = responsibilities[used] / shares[used, None]
-    population, members = shares[used], responsibilities[used]
+    members = responsibilities[used]
     for _ in range(SHARE_ITERATIONS):
         population = members @ represents / represents.sum()
         members = likelihood * population[:, None]

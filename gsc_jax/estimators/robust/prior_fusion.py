@@ -21,7 +21,7 @@ PROBABILITY_FLOOR = 1e-9
 """Clip probabilities to this distance from 0 and 1, which bounds log odds by 21."""
 MIN_MASK_VERDICT = 0.15
 """Scene probability of the masks below which a prior may replace them: less than 44 % of many views
-flag the region. Masks that missed 30 edits in 40 % of the views had 0.45 or more."""
+flag the region. With masks that missed the edit in 40 % of the views, 30 cases had 0.45 or more."""
 MIN_PARTS = 64
 """Least number of parts into which `rank_in_scene` divides the rest of a scene."""
 EXPONENT = 1 / 3

@@ -20,7 +20,7 @@ from editing import BOUNDARY, PAPER
 from methods import ALL_METHODS, sagd
 from observations import Method, observe_regimes
 from published_fit import FULL, MEASURED, NO_3D, VOTE
-from runner import Args, judge, measured, start
+from runner import ChosenArgs, judge, measured, start
 from tables import TRUTH, Frame, Row, markdown, spread, where, write_section
 
 METHODS: Mapping[str, Method] = {
@@ -59,13 +59,13 @@ TABLE_3 = {f"{FULL}: {VOTE}": 0.8485, f"{FULL}: {NO_3D}": 0.8788, f"{FULL} offic
 """F1 in the paper's Table 3, over all edits."""
 
 
-def rows_of(case: Case) -> Iterator[Row]:
-    """Measure every method on an edit, and on a modification also with a distorted model."""
+def rows_of(case: Case, methods: Mapping[str, Method]) -> Iterator[Row]:
+    """Measure these methods on an edit, and on a modification also with a distorted model."""
     masks = detector_masks(case, {"published": PUBLISHED[case.edit]})
     for name in ("none", *(DISTORTED if case.edit == "modification" else ())):
         model = DISTORTIONS[name].of_model(case.gaussians, seed=case.seed)
         distorted = dataclasses.replace(case, gaussians=jax.tree.map(jnp.asarray, model))
-        for row in judge(observe_regimes(distorted, masks), METHODS):
+        for row in judge(observe_regimes(distorted, masks), methods):
             yield {**row, "distortion": name}
 
 
@@ -110,7 +110,7 @@ def report(rows: Frame) -> str:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class PublishedArgs(Args):
+class PublishedArgs(ChosenArgs):
     """Arguments of this experiment, whose slowest methods render in every step."""
 
     seeds: int = 2
@@ -118,7 +118,8 @@ class PublishedArgs(Args):
 
 def main(args: PublishedArgs) -> None:
     """Measure every case; print and write the tables."""
-    rows = measured(args, "published", (list(rows_of(case)) for case in args.cases()))
+    methods = args.among(METHODS)
+    rows = measured(args, "published", (list(rows_of(case, methods)) for case in args.cases()))
     text = report(rows)
     print(text)
     write_section(args.out / "results.md", "published", text)

@@ -19,6 +19,8 @@ MAX_POINTS = 20_000
 MIN_SHARE, LOW_SHARE = 0.01, 0.1
 """Shares of the Gaussians, seen by all cameras together, below which the check fails or warns; the
 cameras of a real capture see most of its scene."""
+MIN_SPAN, MIN_MARGIN = 0.05, 0.1
+"""Width of the scene and distance of the principal point from a border, as shares of an image."""
 MAX_COLOUR = 5
 """Distance of a base colour from 0.5 above which it may have been stored as 0 to 255."""
 MAX_BLIND = 1 / 3
@@ -67,6 +69,7 @@ def check_views(
         warnings.append(_near_message(depths, near))
     if share < LOW_SHARE:
         warnings.append(f"the cameras together see only {share:.1%} of the Gaussians")
+    warnings += _scale_warnings(points, cameras, np.median(depths[depths > 0]))
     seeing = (depths > 0).mean(axis=1) >= min(MIN_SHARE, 0.1 / len(cameras))
     if blind := [camera.name for camera, sees in zip(cameras, seeing, strict=True) if not sees]:
         names = ", ".join(blind[:5]) + (", ..." if len(blind) > 5 else "")
@@ -74,6 +77,25 @@ def check_views(
         advice = advice or NO_CONVENTION * (len(blind) > MAX_BLIND * len(cameras))
         warnings.append(f"{len(blind)} of {len(cameras)} cameras see too little: {names}{advice}")
     return warnings
+
+
+def _scale_warnings(points: np.ndarray, cameras: Sequence[Camera], depth: float) -> list[str]:
+    """Warn of cameras at another scale than the scene, and of intrinsics of another image size."""
+    sizes = np.array([[camera.width, camera.height] for camera in cameras])
+    K, warnings = np.stack([np.asarray(camera.K) for camera in cameras]), []
+    span = np.median(K[:, 0, 0] / sizes[:, 0]) * _extent(points) / depth
+    if 0 < span < MIN_SPAN:
+        told = f"the scene is {span:.1%} as wide as a typical image; is it at the cameras' scale?"
+        warnings.append(told)
+    off = (np.abs(K[:, :2, 2] / sizes - 0.5) > 0.5 - MIN_MARGIN).any(axis=1).mean()
+    if off > MAX_BLIND:
+        told = f"the principal point of {off:.0%} of the cameras is at the border of the image or "
+        warnings.append(f"{told}outside; are their intrinsics of another image size?")
+    return warnings
+
+
+def _extent(points: np.ndarray) -> float:
+    return np.ptp(np.percentile(points, [10, 90], axis=0), axis=0).max()
 
 
 def _depths(points: np.ndarray, cameras: Sequence[Camera], convert=np.asarray) -> np.ndarray:
@@ -105,9 +127,8 @@ def _better_convention(points: np.ndarray, cameras: Sequence[Camera]) -> str:
 def storage_warnings(gaussians: Gaussians, points: np.ndarray) -> dict[str, str]:
     """Warn of scales, opacities and colours in unusual units, and of positions that are rounded."""
     found, log_scales = _colour_warnings(gaussians), np.asarray(gaussians.log_scales)
-    extent = np.ptp(np.percentile(points, [10, 90], axis=0), axis=0).max()
     size = np.exp(np.median(log_scales))
-    if np.mean(log_scales >= 0) >= 0.99 and size >= 0.05 * extent:
+    if np.mean(log_scales >= 0) >= 0.99 and size >= 0.05 * _extent(points):
         found["linear scales"] = (
             "the Gaussians are as large as the scene: its scales may not have been stored as "
             "logarithms; take the logarithm of scale_0, scale_1 and scale_2"

@@ -98,6 +98,25 @@ def test_many_cameras_of_which_each_sees_little_are_of_the_scene():
     assert not any("belong" in warning for warning in check_views(scene, cameras))
 
 
+def test_cameras_at_another_scale_than_the_scene_give_a_warning():
+    scene, cameras = ball(), orbit_cameras(ball(), 8)
+    far = []
+    for one in cameras:  # its centre at 100 times the distance from the ball
+        viewmat = one.viewmat.copy()
+        viewmat[2, 3] += 99 * np.linalg.norm(np.subtract(one.center, [1, -2, 5]))
+        far.append(dataclasses.replace(one, viewmat=viewmat))
+    (warning,) = check_views(scene, far)
+    assert "is it at the cameras' scale?" in warning
+
+
+def test_intrinsics_of_another_image_size_give_a_warning():
+    scene, cameras = ball(), orbit_cameras(ball(), 8)
+    half = [dataclasses.replace(c, width=c.width // 2, height=c.height // 2) for c in cameras]
+    (warning,) = check_views(scene, half)
+    assert warning.startswith("the principal point of 100% of the cameras")
+    assert not check_views(scene, [*half[:2], *cameras[2:]])  # some images may be cropped
+
+
 def test_scales_that_are_not_logarithms_give_a_warning():
     scene = random_scene(400)
     cameras = orbit_cameras(scene, 4)

@@ -120,7 +120,7 @@ def pictures(
     # In NumPy from here: JAX would compile these steps for each image size.
     blended = composite_with_alpha(view, jnp.concatenate([features, rgb], axis=1))
     image, alpha = map(np.asarray, blended)
-    share, score = _share(image[..., 0], alpha), _share(image[..., 1], alpha)
+    share, score = _share(image, alpha), _share(image, alpha, channel=1)
     mask = share > 0.5 if rule == "share" else score > threshold
     if rule == "per-view":
         mask = _per_view_mask(gaussians, camera, scored, threshold=threshold, near=near)
@@ -181,15 +181,13 @@ def rendered_share(
         # A mean exceeds the largest value by a rounding error only.
         chosen = values != 0 if above is None else values > above - abs(above) / 100
     view = make_view(gaussians, camera, near=near, touching=chosen)
-    image, alpha = composite_with_alpha(view, feature[:, None])
-    if not isinstance(image, Tracer):
-        image, alpha = np.asarray(image), np.asarray(alpha)
-    return _share(image[..., 0], alpha)
+    return _share(*composite_with_alpha(view, feature[:, None]))
 
 
-def _share(blended: Any, alpha: Any) -> Any:
-    numpy = jnp if isinstance(blended, Tracer) else np
-    covered = numpy.asarray(alpha) > MIN_COVERAGE
+def _share(image: Array, alpha: Array, channel: int = 0) -> Any:
+    numpy: Any = jnp if isinstance(image, Tracer) else np
+    blended, alpha = numpy.asarray(image)[..., channel], numpy.asarray(alpha)
+    covered = alpha > MIN_COVERAGE
     return numpy.where(covered, blended / numpy.where(covered, alpha, 1.0), 0.0)
 
 

@@ -9,7 +9,6 @@ Points form a golden lattice, which stays even for any aspect ratio. Metres, y d
 import dataclasses
 import functools
 import importlib.resources
-import io
 from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
@@ -153,8 +152,8 @@ def _image(name: str, block: int = 1) -> np.ndarray:
     path = importlib.resources.files("skimage") / "data" / name
     if not path.is_file():
         raise InputError(f"{path}: texture not found; reinstall scikit-image from its wheel")
-    image = np.asarray(Image.open(io.BytesIO(path.read_bytes())), np.float32) / 255
-    return np.repeat(image[..., None], 3, -1) if image.ndim == 2 else image[..., :3]
+    with path.open("rb") as file:
+        return np.asarray(Image.open(file).convert("RGB"), np.float32) / 255
 
 
 def textured(texture: Texture, uv: np.ndarray) -> np.ndarray:

@@ -67,6 +67,5 @@ def _judged(options: Locate, report_above: float | None, monitor: Monitor) -> Ro
 
 def result_digest(tamper: np.ndarray, labels: np.ndarray) -> str:
     """SHA-256 of scores and labels by row of the file, as in tamper.npy and labels.npy."""
-    digest = hashlib.sha256(np.ascontiguousarray(tamper, np.float32).tobytes())
-    digest.update(np.ascontiguousarray(labels, bool).tobytes())
-    return digest.hexdigest()
+    content = np.asarray(tamper, np.float32).tobytes() + np.asarray(labels, bool).tobytes()
+    return hashlib.sha256(content).hexdigest()

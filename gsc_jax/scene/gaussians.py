@@ -137,6 +137,7 @@ def invalid_rows(gaussians: Gaussians) -> dict[str, np.ndarray]:
     """
     check_shapes(gaussians)
     host = jax.tree.map(np.asarray, gaussians)
+    bounded = host.means, host.quats, host.sh
     return {
         "position not finite": ~np.isfinite(host.means).all(axis=1),
         "scale not finite": ~(np.isfinite(host.log_scales) | np.isneginf(host.log_scales)).all(1),
@@ -145,9 +146,7 @@ def invalid_rows(gaussians: Gaussians) -> dict[str, np.ndarray]:
         "rotation zero": (host.quats == 0).all(axis=1),
         "opacity not a number": np.isnan(host.logit_opacities),
         "colour not finite": ~np.isfinite(host.sh).all(axis=(1, 2)),
-        "number out of all bounds": _out_of_bounds(host.means)
-        | _out_of_bounds(host.quats)
-        | _out_of_bounds(host.sh),
+        "number out of all bounds": np.any([_out_of_bounds(x) for x in bounded], axis=0),
     }
 
 

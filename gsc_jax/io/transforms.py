@@ -6,6 +6,7 @@ precedence. A focal length is `fl_x` or follows from `camera_angle_x`; without `
 is read from the image file if that lies in the folder of the transforms.json.
 """
 
+import contextlib
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -97,17 +98,14 @@ def _image_size(folder: Path, name: str) -> tuple[int, int]:
     """Width and height in pixels of an image inside a folder; its suffix may be missing."""
     # Images elsewhere are not opened: the file with the cameras may come from a stranger.
     stem = folder / name
-    problem = ValueError(
-        f"lacks 'w' and 'h', and {shown(str(stem))} is not an image inside {folder}; add them"
-    )
-    try:
+    with contextlib.suppress(Exception):  # the decoders have no common base class of their errors
         for path in (Path(f"{stem}{suffix}") for suffix in IMAGE_SUFFIXES):
             if path.resolve().is_relative_to(folder.resolve()) and path.is_file():
                 with open_image(path) as image:
                     return image.size
-    except Exception as error:  # the decoders have no common base class for damaged files
-        raise problem from error
-    raise problem
+    raise ValueError(
+        f"lacks 'w' and 'h', and {shown(str(stem))} is not an image inside {folder}; add them"
+    )
 
 
 def _focal(length: float | None, angle: float | None, pixels: int) -> float:

@@ -32,8 +32,7 @@ def cast_votes(centers: Array, depths: Array, mask: Array) -> jax.Array:
     """Compute the votes V_ij of one view j, 1, 0 or -1, shape (N,) int32 (GS-Checker, eq. 5).
 
     The centres are in pixels, shape (N, 2), the first of which spans 0 to 1; their depths (N,) are
-    not positive behind the camera; the mask, shape (H, W), is boolean, or
-    tampered where it exceeds 0.5.
+    not positive behind the camera; the mask, shape (H, W), is boolean, or tampered above 0.5.
     """
     height, width = mask.shape
     size = jnp.array([[width, height]], centers.dtype)

@@ -4,7 +4,7 @@ The most common cause of empty images is a scene that does not belong to the cam
 exporter has normalised it or because the poses follow another convention.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -79,19 +79,19 @@ def check_views(
     return warnings
 
 
-def _scale_warnings(points: np.ndarray, cameras: Sequence[Camera], depth: float) -> list[str]:
+def _scale_warnings(points: np.ndarray, cameras: Sequence[Camera], depth: float) -> Iterator[str]:
     """Warn of cameras at another scale than the scene, and of intrinsics of another image size."""
     sizes = np.array([[camera.width, camera.height] for camera in cameras])
-    K, warnings = np.stack([np.asarray(camera.K) for camera in cameras]), []
+    K = np.stack([np.asarray(camera.K) for camera in cameras])
     span = np.median(K[:, 0, 0] / sizes[:, 0]) * _extent(points) / depth
     if 0 < span < MIN_SPAN:
-        told = f"the scene is {span:.1%} as wide as a typical image; is it at the cameras' scale?"
-        warnings.append(told)
+        yield f"the scene is {span:.1%} as wide as a typical image; is it at the cameras' scale?"
     off = (np.abs(K[:, :2, 2] / sizes - 0.5) > 0.5 - MIN_MARGIN).any(axis=1).mean()
     if off > MAX_BLIND:
-        told = f"the principal point of {off:.0%} of the cameras is at the border of the image or "
-        warnings.append(f"{told}outside; are their intrinsics of another image size?")
-    return warnings
+        yield (
+            f"the principal point of {off:.0%} of the cameras is at the border of the image or "
+            "outside; are their intrinsics of another image size?"
+        )
 
 
 def _extent(points: np.ndarray) -> float:

@@ -138,6 +138,8 @@ def invalid_rows(gaussians: Gaussians) -> dict[str, np.ndarray]:
     check_shapes(gaussians)
     host = jax.tree.map(np.asarray, gaussians)
     bounded = host.means, host.quats, host.sh
+    beyond = ((part > MAX_MAGNITUDE) | (part < -MAX_MAGNITUDE) for part in bounded)
+    outside = [part.any(axis=tuple(range(1, part.ndim))) for part in beyond]
     return {
         "position not finite": ~np.isfinite(host.means).all(axis=1),
         "scale not finite": ~(np.isfinite(host.log_scales) | np.isneginf(host.log_scales)).all(1),
@@ -146,14 +148,8 @@ def invalid_rows(gaussians: Gaussians) -> dict[str, np.ndarray]:
         "rotation zero": (host.quats == 0).all(axis=1),
         "opacity not a number": np.isnan(host.logit_opacities),
         "colour not finite": ~np.isfinite(host.sh).all(axis=(1, 2)),
-        "number out of all bounds": np.any([_out_of_bounds(x) for x in bounded], axis=0),
+        "number out of all bounds": np.any(outside, axis=0),
     }
-
-
-def _out_of_bounds(values: np.ndarray) -> np.ndarray:
-    """Rows with a number of a magnitude above `MAX_MAGNITUDE`; without a copy of the numbers."""
-    outside = (values > MAX_MAGNITUDE) | (values < -MAX_MAGNITUDE)
-    return np.asarray(outside.any(axis=tuple(range(1, values.ndim))))
 
 
 def usable_rows(gaussians: Gaussians) -> np.ndarray:

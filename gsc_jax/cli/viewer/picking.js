@@ -1,4 +1,3 @@
-"use strict";
 // Where splats are on the canvas, and which is seen at a place of it. A buffer of viser holds eight
 // words of 32 bits for each: position, group, covariance in half precision, and colour with opacity.
 

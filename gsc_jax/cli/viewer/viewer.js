@@ -1,4 +1,3 @@
-"use strict";
 // The page is replaced by viser's client, which draws the splats, and by a panel. The panel reaches
 // the client by the objects that viser offers to its own tests: `__viserMutable` (camera, nodes of
 // the scene, queue of messages), `__viserSceneTree` and `__viserTestpoints`.

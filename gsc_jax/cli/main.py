@@ -8,7 +8,6 @@ stdout; progress and, at the end, warnings go to stderr.
 import argparse
 import contextlib
 import errno
-import functools
 import importlib.metadata
 import io
 import operator
@@ -16,6 +15,7 @@ import os
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
+from functools import partial, reduce
 from pathlib import Path
 from typing import Annotated, Any, get_args
 
@@ -125,7 +125,7 @@ def _parse(argv: Sequence[str], default: Locate | None = None) -> Any:
         kinds.append(Annotated[kind, tyro.conf.subcommand(name=name, **settings)])
     with _escaped_stderr(argv):
         return tyro.cli(
-            functools.reduce(operator.or_, kinds),
+            reduce(operator.or_, kinds),
             prog="gsc-jax",
             description=DESCRIPTION,
             args=list(argv),
@@ -170,21 +170,16 @@ def _run(command: Command) -> None:
 
 def _answer(command: Command, monitor: Monitor) -> tuple[list[str], list[str]]:
     """Lines for stdout, and warnings."""
-    match command:
-        case Evaluate():
-            return run_evaluate(command)
-        case Check():
-            return run_check(command, say=_say)
-        case Verify():
-            return run_verify(command)
-        case View():
-            return run_view(command, monitor=monitor, say=_say)
-        case Locate() if not isinstance(command, Scan) and not command.dry_run:
-            earlier = earlier_results(command.out)
-            located = run_locate(command, monitor=monitor)
-            replaced = [f"writes   {command.out}: has replaced {earlier}"] if earlier else []
-            return [*summary(located.report, command.out), *replaced], located.result.warnings
+    if type(command) is Locate and not command.dry_run:
+        earlier = earlier_results(command.out)
+        located = run_locate(command, monitor=monitor)
+        replaced = [f"writes   {command.out}: has replaced {earlier}"] if earlier else []
+        return [*summary(located.report, command.out), *replaced], located.result.warnings
+    short = {Evaluate: run_evaluate, Verify: run_verify, Check: partial(run_check, say=_say)}
+    if run := short.get(type(command)):
+        return run(command)
     runs = {Demo: run_demo, Render: run_render, Tamper: run_tamper, Scan: run_scan, Locate: dry_run}
+    runs |= {View: partial(run_view, say=_say)}
     return runs[type(command)](command, monitor=monitor)
 
 

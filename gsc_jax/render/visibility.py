@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from gsc_jax.render.orbit import opaque_means
+from gsc_jax.render.orbit import opaque_means, scene_extent
 from gsc_jax.render.projection import MIN_ALPHA, NEAR
 from gsc_jax.render.spherical_harmonics import Y0
 from gsc_jax.scene import Camera, Gaussians, InputError
@@ -69,7 +69,8 @@ def check_views(
         warnings.append(_near_message(depths, near))
     if share < LOW_SHARE:
         warnings.append(f"the cameras together see only {share:.1%} of the Gaussians")
-    warnings += _scale_warnings(points, cameras, np.median(depths[depths > 0]))
+    size = 2 * scene_extent(gaussians)[1] / np.median(depths[depths > 0])
+    warnings += _mismatches(cameras, float(size))
     seeing = (depths > 0).mean(axis=1) >= min(MIN_SHARE, 0.1 / len(cameras))
     if blind := [camera.name for camera, sees in zip(cameras, seeing, strict=True) if not sees]:
         names = ", ".join(blind[:5]) + (", ..." if len(blind) > 5 else "")
@@ -79,12 +80,11 @@ def check_views(
     return warnings
 
 
-def _scale_warnings(points: np.ndarray, cameras: Sequence[Camera], depth: float) -> Iterator[str]:
-    """Warn of cameras at another scale than the scene, and of intrinsics of another image size."""
+def _mismatches(cameras: Sequence[Camera], size: float) -> Iterator[str]:
+    """Warn of intrinsics of another image size, and of a scene of little `size` over depth."""
     sizes = np.array([[camera.width, camera.height] for camera in cameras])
     K = np.stack([np.asarray(camera.K) for camera in cameras])
-    span = np.median(K[:, 0, 0] / sizes[:, 0]) * _extent(points) / depth
-    if 0 < span < MIN_SPAN:
+    if (span := size * np.median(K[:, 0, 0] / sizes[:, 0])) < MIN_SPAN:
         yield f"the scene is {span:.1%} as wide as a typical image; is it at the cameras' scale?"
     off = (np.abs(K[:, :2, 2] / sizes - 0.5) > 0.5 - MIN_MARGIN).any(axis=1).mean()
     if off > MAX_BLIND:
@@ -92,10 +92,6 @@ def _scale_warnings(points: np.ndarray, cameras: Sequence[Camera], depth: float)
             f"the principal point of {off:.0%} of the cameras is at the border of the image or "
             "outside; are their intrinsics of another image size?"
         )
-
-
-def _extent(points: np.ndarray) -> float:
-    return np.ptp(np.percentile(points, [10, 90], axis=0), axis=0).max()
 
 
 def _depths(points: np.ndarray, cameras: Sequence[Camera], convert=np.asarray) -> np.ndarray:
@@ -127,8 +123,9 @@ def _better_convention(points: np.ndarray, cameras: Sequence[Camera]) -> str:
 def storage_warnings(gaussians: Gaussians, points: np.ndarray) -> dict[str, str]:
     """Warn of scales, opacities and colours in unusual units, and of positions that are rounded."""
     found, log_scales = _colour_warnings(gaussians), np.asarray(gaussians.log_scales)
+    extent = np.ptp(np.percentile(points, [10, 90], axis=0), axis=0).max()
     size = np.exp(np.median(log_scales))
-    if np.mean(log_scales >= 0) >= 0.99 and size >= 0.05 * _extent(points):
+    if np.mean(log_scales >= 0) >= 0.99 and size >= 0.05 * extent:
         found["linear scales"] = (
             "the Gaussians are as large as the scene: its scales may not have been stored as "
             "logarithms; take the logarithm of scale_0, scale_1 and scale_2"

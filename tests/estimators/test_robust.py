@@ -105,6 +105,18 @@ def test_a_region_flagged_in_few_views_is_labelled_only_without_min_verdict():
     assert np.array_equal(without.labels, KINDS == DECOY)
 
 
+def test_a_region_that_three_masks_flag_and_little_else_is_labelled():
+    flagged = np.zeros((VIEWS, COUNT), bool)
+    flagged[np.ix_([2, 7, 9], KINDS == DECOY)] = True
+    alone = estimate(masked(flagged))
+    assert verdict_of(masked(flagged)) < ESTIMATOR.min_verdict
+    assert np.array_equal(alone.labels, KINDS == DECOY)
+    assert any("perhaps nothing was edited" in text for text in alone.warnings)
+    for view in range(VIEWS):  # as many flags, elsewhere in each view
+        flagged[view, (np.arange(COUNT) // 40 == view % 10) & (KINDS != DECOY)] = True
+    assert not estimate(masked(flagged)).labels.any()
+
+
 LIMITS = {
     "sample": (1, 10**9),
     "seed": (0, 2**32 - 1),

@@ -41,7 +41,7 @@ EVEN_RATE, LOG_ODDS_PER_RATE = 0.58, 12.0
 PSEUDO_VIEWS = 2.0
 """Pseudo-views at the even rate, so that few views give a probability near one half."""
 MIN_MASKS, MAX_OF_FEW = 3, 0.6
-"""Masks from which the scene probability may exceed `MAX_OF_FEW`: false alarms in fewer agree."""
+"""Masks of a region for a scene probability above `MAX_OF_FEW`: false alarms in fewer agree."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -67,9 +67,10 @@ class Roles:
 
     @property
     def scene_probability(self) -> float:
-        """`scene_probability` of the first tampered class; less for few masks."""
-        found = scene_probability(self.rate, float(self.seen[np.argmax(self.tampered)]))
-        return found if len(self.inverted) >= MIN_MASKS else min(found, MAX_OF_FEW)
+        """`scene_probability` of the first tampered class; less if few masks show it."""
+        seen = float(self.seen[np.argmax(self.tampered)])
+        found = scene_probability(self.rate, seen)
+        return found if seen > MIN_MASKS - 0.5 else min(found, MAX_OF_FEW)
 
 
 def scene_probability(rate: float, views: float) -> float:

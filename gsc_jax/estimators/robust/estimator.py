@@ -17,7 +17,7 @@ import numpy as np
 from scipy.special import expit
 
 from gsc_jax.estimators.protocol import NONE_FLAGGED, Estimator, Finding, Prior, unanimous
-from gsc_jax.estimators.robust import diagnostics, gaussian_visibility, prior_fusion
+from gsc_jax.estimators.robust import class_roles, diagnostics, gaussian_visibility, prior_fusion
 from gsc_jax.estimators.robust.class_roles import Roles, assign_roles, scene_probability
 from gsc_jax.estimators.robust.latent_classes import fit_classes, nearest_classes
 from gsc_jax.estimators.robust.mean_field import smooth
@@ -36,6 +36,8 @@ RANGES: dict[str, tuple[float, float]] = {
     "smoothing": (0.0, 1e9),
 }
 """Smallest and largest value of further numeric fields; whole numbers where the field is one."""
+DISTINCT = 0.6
+"""Least share of all that masks flag, from which it is labelled even if most masks miss it."""
 MAX_CLASSES = 100
 """Largest candidate number of classes; ten times what any scene of the tables has."""
 
@@ -60,7 +62,7 @@ class RobustEstimator(Estimator):
         neighbours: Number of neighbours for smoothing.
         prior_weight: Weight of the prior, in [0, 1]; 0 ignores it, and below 0.5 it does not
             decide between regions that masks label.
-        min_verdict: Nothing is labelled if the scene probability is lower with and without prior.
+        min_verdict: Least scene probability for labels, where masks also flag much else.
         tolerance: With a network as detector, views are added until they change less than this
             share of the labelled weight; 0 uses all views.
         threshold: Probability above which a Gaussian is labelled.
@@ -138,7 +140,7 @@ class RobustEstimator(Estimator):
                 rank = prior_fusion.rank_in_scene(prior, probability > 0.5, means)
             both = prior_fusion.fuse(probability, from_masks, known, prior, self.prior_weight, rank)
             (probability, verdict), known = both, known | prior.known
-        edited = max(verdict, from_masks) >= self.min_verdict
+        edited = lifted.distinct or max(verdict, from_masks) >= self.min_verdict
         log_odds = prior_fusion.log_odds_of(probability)
         labels = (probability > self.threshold) & edited
         return Finding(
@@ -178,8 +180,11 @@ class RobustEstimator(Estimator):
         agreeing = np.argmin(np.sum(((by_fit > 0) != (median > 0))[:, seen], axis=1))
         median = smooth(median, means, seen, strength=self.smoothing, neighbours=self.neighbours)
         probability = np.where(seen, expit(median), 0.0).astype(np.float32)
-        region = np.where(probability > 0.5, *nearest[agreeing])
-        return MaskEstimate(probability=probability, seen=seen, roles=fits[agreeing], region=region)
+        region, roles = np.where(probability > 0.5, *nearest[agreeing]), fits[agreeing]
+        several = roles.patterns[roles.tampered].any(axis=0).sum() >= class_roles.MIN_MASKS
+        distinct = several and sums[1][probability > 0.5].sum() > DISTINCT * sums[1].sum()
+        fields = {"seen": seen, "roles": roles, "region": region, "distinct": bool(distinct)}
+        return MaskEstimate(probability=probability, **fields)
 
     def _roles_by_fit(
         self, seen: np.ndarray, flagged: np.ndarray, represents: np.ndarray
@@ -241,12 +246,14 @@ class MaskEstimate:
         seen: Mask of the Gaussians visible in at least one view, shape (N,) bool.
         region: Nearest class of the roles, a tampered one where labelled, shape (N,) int8.
         roles: Roles by the fit whose labels agree best; None if every fit has one class only.
+        distinct: Whether several masks flag what would be labelled, and little else.
     """
 
     probability: np.ndarray
     seen: np.ndarray
     region: np.ndarray
     roles: Roles | None = None
+    distinct: bool = False
 
 
 def pattern_errors(roles: Roles, seen: np.ndarray, flagged: np.ndarray) -> np.ndarray:

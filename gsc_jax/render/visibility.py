@@ -59,8 +59,10 @@ def check_views(
     depths = _depths(points, cameras)
     seen = depths > near
     share, share_ahead = seen.any(axis=0).mean(), (depths > 0).any(axis=0).mean()
+    # The median, because a few cameras see the scene by chance in any wrong convention.
+    typical = float(np.median(shares := np.mean(depths > 0, axis=1)))
     if share_ahead < MIN_SHARE:
-        advice = _better_convention(points, cameras) or NO_CONVENTION
+        advice = _better_convention(points, cameras, typical) or NO_CONVENTION
         raise InputError(f"the cameras see {share_ahead:.2%} of the Gaussians{advice}")
     if share < MIN_SHARE:
         raise InputError(_near_message(depths, near))
@@ -69,12 +71,14 @@ def check_views(
         warnings.append(_near_message(depths, near))
     if share < LOW_SHARE:
         warnings.append(f"the cameras together see only {share:.1%} of the Gaussians")
+    elif typical < LOW_SHARE:
+        warnings.append(f"a typical camera sees {typical:.0%} of the scene; use method official")
     size = 2 * scene_extent(gaussians)[1] / np.median(depths[depths > 0])
     warnings += _mismatches(cameras, float(size))
-    seeing = (depths > 0).mean(axis=1) >= min(MIN_SHARE, 0.1 / len(cameras))
+    seeing = shares >= min(MIN_SHARE, 0.1 / len(cameras))
     if blind := [camera.name for camera, sees in zip(cameras, seeing, strict=True) if not sees]:
         names = ", ".join(blind[:5]) + (", ..." if len(blind) > 5 else "")
-        advice = _better_convention(points, cameras)
+        advice = _better_convention(points, cameras, typical)
         advice = advice or NO_CONVENTION * (len(blind) > MAX_BLIND * len(cameras))
         warnings.append(f"{len(blind)} of {len(cameras)} cameras see too little: {names}{advice}")
     return warnings
@@ -88,10 +92,7 @@ def _mismatches(cameras: Sequence[Camera], size: float) -> Iterator[str]:
         yield f"the scene is {span:.1%} as wide as a typical image; is it at the cameras' scale?"
     off = (np.abs(K[:, :2, 2] / sizes - 0.5) > 0.5 - MIN_MARGIN).any(axis=1).mean()
     if off > MAX_BLIND:
-        yield (
-            f"the principal point of {off:.0%} of the cameras is at the border of the image or "
-            "outside; are their intrinsics of another image size?"
-        )
+        yield f"{off:.0%} of the principal points lie at a border or outside; is K of another size?"
 
 
 def _depths(points: np.ndarray, cameras: Sequence[Camera], convert=np.asarray) -> np.ndarray:
@@ -106,16 +107,14 @@ def _depths(points: np.ndarray, cameras: Sequence[Camera], convert=np.asarray) -
     return depths
 
 
-def _better_convention(points: np.ndarray, cameras: Sequence[Camera]) -> str:
-    """Advice to read the poses in another convention, if the median camera then sees far more."""
-
-    def median_share(convert) -> float:
-        # The median, because a few cameras see the scene by chance in any wrong convention.
-        return float(np.median(np.mean(_depths(points, cameras, convert) > 0, axis=1)))
-
-    shares = {convention: median_share(convert) for convention, convert in CONVENTIONS.items()}
+def _better_convention(points: np.ndarray, cameras: Sequence[Camera], typical: float) -> str:
+    """Advice to read the poses in another convention, if a typical camera then sees far more."""
+    shares = {
+        name: np.median(np.mean(_depths(points, cameras, convert) > 0, axis=1))
+        for name, convert in CONVENTIONS.items()
+    }
     best = max(shares, key=shares.__getitem__)
-    if (share := shares[best]) <= max(LOW_SHARE, 3 * median_share(np.asarray)):
+    if (share := shares[best]) <= max(LOW_SHARE, 3 * typical):
         return ""
     return f"; perhaps the poses are to be read {best}: a camera then typically sees {share:.0%}"
 

@@ -34,8 +34,9 @@ NEAR_BEST = 0.9
 """Among classes flagged at least this fraction as often as the first, the heaviest is tampered."""
 MIN_SHARPNESS = 0.75
 """Least mean of |2 q - 1| of a distractor or a second edit over the views that see it."""
-SECOND_EDIT = 0.8
-"""A class whose flag frequency exceeds this multiple of the tampered one's is a second edit."""
+SECOND_EDIT, MIN_SECOND_EDIT = 0.8, 0.4
+"""Flag frequency of a second edit: above this multiple of that of the first, and above this share,
+which authentic regions seldom reach."""
 EVEN_RATE, LOG_ODDS_PER_RATE = 0.58, 12.0
 """Logistic regression of "edited" on the flag rate of the tampered class."""
 PSEUDO_VIEWS = 2.0
@@ -111,7 +112,7 @@ def assign_roles(
     distinct &= table.separating_views(authentic) >= 0.5
     both_shown = np.minimum(shown_share, shown_share[first])
     distinct &= (both_shown * table.differs(first)).sum(1) >= SEPARATED_SHARE * both_shown.sum(1)
-    often = table.flag_frequency() > SECOND_EDIT * table.flag_frequency()[first]
+    often = frequency > max(SECOND_EDIT * frequency[first], MIN_SECOND_EDIT)
     second, distractor = np.flatnonzero(distinct & often), np.flatnonzero(distinct & ~often)
     patterns = [
         *table.patterns([authentic], fallback=authentic),

@@ -42,7 +42,7 @@ HEADLINES: dict[Outcome, str] = {
     "none": "No evidence of editing.",
 }
 COUNTS: dict[str, dict[Outcome, tuple[int, int]]] = {
-    "masks and attributes": {"evidence": (0, 89), "inconclusive": (10, 7), "none": (14, 0)},
+    "masks and attributes": {"evidence": (1, 88), "inconclusive": (10, 7), "none": (13, 1)},
     "masks": {"evidence": (0, 91), "inconclusive": (11, 14), "none": (19, 0)},
     "attributes": {"evidence": (0, 85), "inconclusive": (9, 52), "none": (85, 143)},
 }

@@ -174,7 +174,7 @@ def _from_views(
     used = detector.select(cameras)
     estimator, stop = estimator.for_views(len(used)), None
     # Masks from files cost nothing; each view of a network takes seconds.
-    if estimator.stops_early and detector.needs_image:
+    if estimator.tolerance > 0 and detector.needs_image:
         observation, finding, stop = observe_until_stable(observed, used, estimator, prior, monitor)
     else:
         observation = observed(used)

@@ -34,7 +34,7 @@ def configured_estimator(options: Locate) -> Estimator:
         changes["loop"] = {"lambda2": changes.pop("lambda2")}
     for name in changes.keys() - {field.name for field in dataclasses.fields(base)}:
         raise InputError(f"--{name}: does not apply to --method {options.method}")
-    if base.stops_early and (options.all_views or options.views):
+    if base.tolerance > 0 and (options.all_views or options.views):
         changes["tolerance"] = 0.0
     with naming(f"options of --method {options.method}", errors=ValueError):
         return replaced(base, changes)

@@ -142,11 +142,6 @@ class Estimator(abc.ABC):
         """Whether a prior changes the finding."""
         return self.prior_weight > 0
 
-    @property
-    def stops_early(self) -> bool:
-        """Whether views may be left out once the labels are stable."""
-        return self.tolerance > 0
-
     @abc.abstractmethod
     def estimate(self, observation: Observation, prior: Prior | None = None) -> Finding:
         """Compute scores and labels from V views of N Gaussians; deterministic for given fields."""

@@ -17,10 +17,10 @@ from gsc_jax.scene.gaussians import check_shapes
 MAX_POINTS = 20_000
 """Number of sampled centres: a share of 1 % has a standard error below 0.1 %."""
 MIN_SHARE, LOW_SHARE = 0.01, 0.1
-"""Shares of the Gaussians, seen by all cameras together, below which the check fails or warns; the
-cameras of a real capture see most of its scene."""
-MIN_SPAN, MIN_MARGIN = 0.05, 0.1
-"""Width of the scene and distance of the principal point from a border, as shares of an image."""
+"""Shares of the Gaussians, seen by all cameras together, below which the check fails or warns, also
+if a typical camera sees less than the latter; those of a real capture see most of its scene."""
+MIN_SPAN, MIN_MARGIN = 0.05, 0.3
+"""Least width of the scene and distance of the principal point from a border, in image sizes."""
 MAX_COLOUR = 5
 """Distance of a base colour from 0.5 above which it may have been stored as 0 to 255."""
 MAX_BLIND = 1 / 3
@@ -46,8 +46,8 @@ def check_views(
 ) -> list[str]:
     """Check the share of Gaussians that are visible from at least one camera; return warnings.
 
-    They are one line each: cameras that see nothing, a low share, a near plane (in world units)
-    that cuts most away. InputError for a share below 1 %, also for want of cameras or Gaussians.
+    They are one line each: cameras that see little, a low share, a near plane (in world units) that
+    cuts most away, another scale. InputError below 1 %, and for want of cameras or Gaussians.
     """
     check_shapes(gaussians)
     if not cameras:
@@ -71,28 +71,27 @@ def check_views(
         warnings.append(_near_message(depths, near))
     if share < LOW_SHARE:
         warnings.append(f"the cameras together see only {share:.1%} of the Gaussians")
-    elif typical < LOW_SHARE:
-        warnings.append(f"a typical camera sees {typical:.0%} of the scene; use method official")
-    size = 2 * scene_extent(gaussians)[1] / np.median(depths[depths > 0])
-    warnings += _mismatches(cameras, float(size))
+    diameter, depth = 2 * scene_extent(gaussians)[1], np.median(depths[depths > 0])
+    warnings += _mismatches(cameras, diameter / depth)
     seeing = shares >= min(MIN_SHARE, 0.1 / len(cameras))
     if blind := [camera.name for camera, sees in zip(cameras, seeing, strict=True) if not sees]:
         names = ", ".join(blind[:5]) + (", ..." if len(blind) > 5 else "")
         advice = _better_convention(points, cameras, typical)
         advice = advice or NO_CONVENTION * (len(blind) > MAX_BLIND * len(cameras))
         warnings.append(f"{len(blind)} of {len(cameras)} cameras see too little: {names}{advice}")
+    elif typical < LOW_SHARE <= share:
+        warnings.append(f"a typical camera sees {typical:.1%} of the scene, too little for robust")
     return warnings
 
 
-def _mismatches(cameras: Sequence[Camera], size: float) -> Iterator[str]:
-    """Warn of intrinsics of another image size, and of a scene of little `size` over depth."""
-    sizes = np.array([[camera.width, camera.height] for camera in cameras])
-    K = np.stack([np.asarray(camera.K) for camera in cameras])
-    if (span := size * np.median(K[:, 0, 0] / sizes[:, 0])) < MIN_SPAN:
+def _mismatches(cameras: Sequence[Camera], ratio: np.floating) -> Iterator[str]:
+    """Warn of intrinsics of another image size, and of a low `ratio` of scene size to depth."""
+    K = np.stack([np.asarray(c.K)[:2] / [[c.width], [c.height]] for c in cameras])  # relative
+    if (span := ratio * np.median(K[:, 0, 0])) < MIN_SPAN:
         yield f"the scene is {span:.1%} as wide as a typical image; is it at the cameras' scale?"
-    off = (np.abs(K[:, :2, 2] / sizes - 0.5) > 0.5 - MIN_MARGIN).any(axis=1).mean()
+    off = (np.abs(K[:, :, 2] - 0.5) > 0.5 - MIN_MARGIN).any(axis=1).mean()
     if off > MAX_BLIND:
-        yield f"{off:.0%} of the principal points lie at a border or outside; is K of another size?"
+        yield f"{off:.0%} of the principal points are far from the middle; is K of another size?"
 
 
 def _depths(points: np.ndarray, cameras: Sequence[Camera], convert=np.asarray) -> np.ndarray:

@@ -112,9 +112,26 @@ def test_a_region_that_three_masks_flag_and_little_else_is_labelled():
     assert verdict_of(masked(flagged)) < ESTIMATOR.min_verdict
     assert np.array_equal(alone.labels, KINDS == DECOY)
     assert any("perhaps nothing was edited" in text for text in alone.warnings)
+    flagged[4] = ~flagged[4]
+    turned = estimate(masked(flagged))
+    assert turned.reliability[4] == "inverted"
+    assert np.array_equal(turned.labels, KINDS == DECOY)
+    flagged[4] = False
     for view in range(VIEWS):  # as many flags, elsewhere in each view
         flagged[view, (np.arange(COUNT) // 40 == view % 10) & (KINDS != DECOY)] = True
     assert not estimate(masked(flagged)).labels.any()
+
+
+def test_a_region_that_few_views_see_is_no_evidence():
+    total = TOTAL.copy()
+    total[2:, KINDS == DECOY] = 0
+    flagged = np.zeros((VIEWS, COUNT), bool)
+    flagged[:2, KINDS == DECOY] = True
+    found = estimate(masked(flagged, total))
+    assert found.labels.any()
+    assert found.verdict is not None
+    assert found.verdict <= 0.6
+    assert any("fewer than 3 masks" in text for text in found.warnings)
 
 
 LIMITS = {

@@ -109,12 +109,28 @@ def test_cameras_at_another_scale_than_the_scene_give_a_warning():
     assert "is it at the cameras' scale?" in warning
 
 
-def test_intrinsics_of_another_image_size_give_a_warning():
+@pytest.mark.parametrize("factor", [0.5, 2])
+def test_intrinsics_of_another_image_size_give_a_warning(factor):
     scene, cameras = ball(), orbit_cameras(ball(), 8)
-    half = [dataclasses.replace(c, width=c.width // 2, height=c.height // 2) for c in cameras]
-    (warning,) = check_views(scene, half)
-    assert warning.startswith("100% of the principal points lie at a border")
-    assert not check_views(scene, [*half[:2], *cameras[2:]])  # some images may be cropped
+    other = [
+        dataclasses.replace(c, width=round(factor * c.width), height=round(factor * c.height))
+        for c in cameras
+    ]
+    (warning,) = check_views(scene, other)
+    assert warning.startswith("100% of the principal points are far from the middle")
+    assert not check_views(scene, [*other[:2], *cameras[2:]])  # some images may be cropped
+
+
+def test_cameras_of_which_a_typical_one_sees_little_give_a_warning():
+    """Unless some see nothing, as with poses that were misread."""
+    scene, cameras = ball(), orbit_cameras(ball(), 10)
+    close = cameras[0].K * np.array([[10, 1, 1], [1, 10, 1], [1, 1, 1]], np.float32)
+    near = [dataclasses.replace(camera, K=close) for camera in cameras[:6]]
+    (warning,) = check_views(scene, [*near, *cameras[6:]])
+    assert "too little for robust" in warning
+    assert check_views(scene, [*near[:4], *cameras[4:]]) == []
+    flipped = converted(cameras[:6], lambda viewmat: FLIP @ viewmat)
+    assert not any("robust" in text for text in check_views(scene, [*flipped, *cameras[6:]]))
 
 
 def test_scales_that_are_not_logarithms_give_a_warning():

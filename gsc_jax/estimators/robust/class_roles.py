@@ -42,7 +42,7 @@ EVEN_RATE, LOG_ODDS_PER_RATE = 0.58, 12.0
 PSEUDO_VIEWS = 2.0
 """Pseudo-views at the even rate, so that few views give a probability near one half."""
 MIN_MASKS, MAX_OF_FEW = 3, 0.6
-"""Masks of a region for a scene probability above `MAX_OF_FEW`: false alarms in fewer agree."""
+"""Views of a region for a scene probability above `MAX_OF_FEW`: false alarms in fewer agree."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -68,10 +68,14 @@ class Roles:
 
     @property
     def scene_probability(self) -> float:
-        """`scene_probability` of the first tampered class; less if few masks show it."""
-        seen = float(self.seen[np.argmax(self.tampered)])
-        found = scene_probability(self.rate, seen)
-        return found if seen > MIN_MASKS - 0.5 else min(found, MAX_OF_FEW)
+        """`scene_probability` of the first tampered class; less if `few_views` see it."""
+        found = scene_probability(self.rate, float(self.seen[np.argmax(self.tampered)]))
+        return min(found, MAX_OF_FEW) if self.few_views else found
+
+    @property
+    def few_views(self) -> bool:
+        """Whether fewer than `MIN_MASKS` views see the first tampered class."""
+        return bool(self.seen[np.argmax(self.tampered)] <= MIN_MASKS - 0.5)
 
 
 def scene_probability(rate: float, views: float) -> float:

@@ -49,7 +49,7 @@ def warnings(
     else:
         rate = f" No region is flagged in more than {roles.rate:.0%} of the views that see it."
         sentences = [DISAGREEMENT + rate + FROM_PRIOR * bool(labels.any())]
-    if len(roles.inverted) < MIN_MASKS and labels.any():
+    if roles.few_views and labels.any():
         sentences.append(f"False alarms often agree in fewer than {MIN_MASKS} masks; give more.")
     if roles.inverted.mean() > 0.5:
         sentences.append(

@@ -36,8 +36,8 @@ RANGES: dict[str, tuple[float, float]] = {
     "smoothing": (0.0, 1e9),
 }
 """Smallest and largest value of further numeric fields; whole numbers where the field is one."""
-DISTINCT = 0.6
-"""Least share of all that masks flag, from which it is labelled even if most masks miss it."""
+MIN_FLAGGED_SHARE = 0.6
+"""Share of all flags from which a region is labelled, even if most masks miss it."""
 MAX_CLASSES = 100
 """Largest candidate number of classes; ten times what any scene of the tables has."""
 
@@ -62,7 +62,8 @@ class RobustEstimator(Estimator):
         neighbours: Number of neighbours for smoothing.
         prior_weight: Weight of the prior, in [0, 1]; 0 ignores it, and below 0.5 it does not
             decide between regions that masks label.
-        min_verdict: Least scene probability for labels, where masks also flag much else.
+        min_verdict: Nothing is labelled if the scene probability is lower, with and without prior,
+            unless at least three masks flag what would be labelled, and little else.
         tolerance: With a network as detector, views are added until they change less than this
             share of the labelled weight; 0 uses all views.
         threshold: Probability above which a Gaussian is labelled.
@@ -166,7 +167,7 @@ class RobustEstimator(Estimator):
         `flagged`, all probabilities are 0. They are deterministic, and finite for any evidence.
         """
         sums = gaussian_visibility.summed_visibility(evidence, self.half_weight)
-        seen, fits, sample = sums[0] > 0, [], ()
+        seen, fits, sample, rows = sums[0] > 0, [], (), np.zeros(0, int)
         if flagged and seen.any():
             rows, represents = gaussian_visibility.stratified_sample(sums[0], sums[1], self.sample)
             sample = *gaussian_visibility.visibility(evidence, rows, self.half_weight), represents
@@ -181,10 +182,11 @@ class RobustEstimator(Estimator):
         median = smooth(median, means, seen, strength=self.smoothing, neighbours=self.neighbours)
         probability = np.where(seen, expit(median), 0.0).astype(np.float32)
         region, roles = np.where(probability > 0.5, *nearest[agreeing]), fits[agreeing]
+        shown, flags, represents = sample
+        flags = np.where(roles.inverted[:, None], shown - flags, flags).sum(axis=0) * represents
         several = roles.patterns[roles.tampered].any(axis=0).sum() >= class_roles.MIN_MASKS
-        distinct = several and sums[1][probability > 0.5].sum() > DISTINCT * sums[1].sum()
-        fields = {"seen": seen, "roles": roles, "region": region, "distinct": bool(distinct)}
-        return MaskEstimate(probability=probability, **fields)
+        distinct = several and flags @ (probability[rows] > 0.5) > MIN_FLAGGED_SHARE * flags.sum()
+        return MaskEstimate(probability, seen, region, roles, bool(distinct))
 
     def _roles_by_fit(
         self, seen: np.ndarray, flagged: np.ndarray, represents: np.ndarray
@@ -237,7 +239,7 @@ class RobustEstimator(Estimator):
         return log_odds, nearest
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@dataclasses.dataclass(frozen=True)
 class MaskEstimate:
     """Estimate from the masks alone.
 
@@ -246,7 +248,7 @@ class MaskEstimate:
         seen: Mask of the Gaussians visible in at least one view, shape (N,) bool.
         region: Nearest class of the roles, a tampered one where labelled, shape (N,) int8.
         roles: Roles by the fit whose labels agree best; None if every fit has one class only.
-        distinct: Whether several masks flag what would be labelled, and little else.
+        distinct: Whether at least three masks flag what would be labelled, and little else.
     """
 
     probability: np.ndarray

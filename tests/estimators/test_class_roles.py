@@ -60,6 +60,14 @@ def test_a_class_flagged_nearly_as_often_is_a_second_edit():
     assert found.tampered.tolist() == [False, True, True]
 
 
+@pytest.mark.parametrize(("views", "edits"), [((10, 8), 1), ((12, 11), 2)])
+def test_a_second_edit_is_not_flagged_in_few_views(views, edits):
+    """As an authentic region of the shared kitchen: 38 % of the views flag it, 44 % the edit."""
+    first, second = ([LOW] * (24 - count) + [HIGH] * count for count in views)
+    found = roles([LOW] * 24, first, second[::-1])
+    assert found.tampered.tolist() == [False, True, edits == 2]
+
+
 def test_views_that_do_not_see_a_class_do_not_count():
     weights = [[1.0] * 4, [1, 1, 1, 0.0]]
     found = roles([LOW] * 4, [HIGH, HIGH, HIGH, 0.5], weights=weights)

@@ -23,4 +23,4 @@ def test_robust_finds_the_edit_with_any_seed(name):
         share = 2 * both / (weight[found.labels].sum() + weight[scene.labels].sum())
         assert share > 0.95, f"seed {seed}: F1 {share:.3f} by weight"
         assert confusion(found.labels, scene.labels).precision > 0.8
-    assert np.isfinite(found.tamper).all()
+        assert np.isfinite(found.tamper).all()

@@ -167,14 +167,14 @@ class RobustEstimator(Estimator):
         `flagged`, all probabilities are 0. They are deterministic, and finite for any evidence.
         """
         sums = gaussian_visibility.summed_visibility(evidence, self.half_weight)
-        seen, fits, sample, rows = sums[0] > 0, [], (), np.zeros(0, int)
-        if flagged and seen.any():
-            rows, represents = gaussian_visibility.stratified_sample(sums[0], sums[1], self.sample)
-            sample = *gaussian_visibility.visibility(evidence, rows, self.half_weight), represents
-            fits = self._roles_by_fit(*sample)
-        if not fits:
-            nothing = np.zeros(len(seen), np.float32)
-            return MaskEstimate(probability=nothing, seen=seen, region=nothing.astype(np.int8))
+        seen = sums[0] > 0
+        nothing = MaskEstimate(np.zeros(len(seen), np.float32), seen, np.zeros(len(seen), np.int8))
+        if not (flagged and seen.any()):
+            return nothing
+        rows, represents = gaussian_visibility.stratified_sample(sums[0], sums[1], self.sample)
+        sample = *gaussian_visibility.visibility(evidence, rows, self.half_weight), represents
+        if not (fits := self._roles_by_fit(*sample)):
+            return nothing
         # The criteria of several fits are nearly equal: rounding would choose the best one.
         by_fit, nearest = self._log_odds(evidence, fits, sample)
         median = np.median(by_fit, axis=0)

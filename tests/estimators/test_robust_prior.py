@@ -180,9 +180,3 @@ def test_a_prior_with_weight_0_changes_nothing():
     )
     np.testing.assert_array_equal(with_prior.tamper, without.tamper)
     assert with_prior.verdict == without.verdict
-
-
-def test_a_prior_of_another_number_of_gaussians_is_refused():
-    wrong = Prior(probability=np.zeros(3), verdict=0.5, known=np.ones(3, bool))
-    with pytest.raises(ValueError, match="the prior has 3 Gaussians, the scene"):
-        estimate(decoy_in(4), prior=wrong)

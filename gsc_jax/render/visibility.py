@@ -17,8 +17,8 @@ from gsc_jax.scene.gaussians import check_shapes
 MAX_POINTS = 20_000
 """Number of sampled centres: a share of 1 % has a standard error below 0.1 %."""
 MIN_SHARE, LOW_SHARE = 0.01, 0.1
-"""Shares of the Gaussians, seen by all cameras together, below which the check fails or warns, also
-if a typical camera sees less than the latter; those of a real capture see most of its scene."""
+"""Shares of the Gaussians: the check fails if all cameras together see less than the first, and
+warns if they, or the median camera, see less than the second; most captures see most of theirs."""
 MIN_SPAN, MIN_MARGIN = 0.05, 0.3
 """Least width of the scene and distance of the principal point from a border, in image sizes."""
 MAX_COLOUR = 5
@@ -59,7 +59,7 @@ def check_views(
     depths = _depths(points, cameras)
     seen = depths > near
     share, share_ahead = seen.any(axis=0).mean(), (depths > 0).any(axis=0).mean()
-    # The median, because a few cameras see the scene by chance in any wrong convention.
+    # The median: if poses were read in a wrong convention, a few cameras see the scene by chance.
     typical = float(np.median(shares := np.mean(depths > 0, axis=1)))
     if share_ahead < MIN_SHARE:
         advice = _better_convention(points, cameras, typical) or NO_CONVENTION
@@ -85,7 +85,7 @@ def check_views(
 
 
 def _mismatches(cameras: Sequence[Camera], ratio: np.floating) -> Iterator[str]:
-    """Warn of intrinsics of another image size, and of a low `ratio` of scene size to depth."""
+    """Warn of intrinsics of another image size, and if scene size over depth, `ratio`, is low."""
     K = np.stack([np.asarray(c.K)[:2] / [[c.width], [c.height]] for c in cameras])  # relative
     if (span := ratio * np.median(K[:, 0, 0])) < MIN_SPAN:
         yield f"the scene is {span:.1%} as wide as a typical image; is it at the cameras' scale?"

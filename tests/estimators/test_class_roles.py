@@ -60,9 +60,9 @@ def test_a_class_flagged_nearly_as_often_is_a_second_edit():
     assert found.tampered.tolist() == [False, True, True]
 
 
-@pytest.mark.parametrize(("views", "edits"), [((10, 8), 1), ((12, 11), 2)])
+@pytest.mark.parametrize(("views", "edits"), [((10, 9), 1), ((12, 11), 2)])
 def test_a_second_edit_is_not_flagged_in_few_views(views, edits):
-    """As an authentic region of the shared kitchen: 38 % of the views flag it, 44 % the edit."""
+    """In the shared kitchen, 44 % of the views flag the edit, and 38 % an authentic region."""
     first, second = ([LOW] * (24 - count) + [HIGH] * count for count in views)
     found = roles([LOW] * 24, first, second[::-1])
     assert found.tampered.tolist() == [False, True, edits == 2]

@@ -210,7 +210,7 @@ def test_a_flag_counts_less_against_distractors_too():
 
 
 def test_a_miss_counts_less_if_masks_miss_parts_of_the_edit():
-    """Five views miss the Gaussian, if it is edited.
+    """If the Gaussian is edited, the masks of five views miss it.
 
     By the pattern of the nearest distractor, three views miss it and three flag it wrongly.
     """

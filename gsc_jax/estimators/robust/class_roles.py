@@ -164,7 +164,7 @@ class _RateTable:
         return np.abs(self.rates - self.rates[other]) > RATE_DIFFERENCE
 
     def missed(self, weights: np.ndarray, classes: np.ndarray) -> float:
-        """Share of the weight (K, V) of some classes, in views that flag them, that is clear."""
+        """Part of the weight (K, V) of some classes that is clear in the views that flag them."""
         shown = (weights * (self.rates > 0.5))[classes]
         return float((shown * (1 - self.rates[classes])).sum() / max(shown.sum(), 1e-30))
 

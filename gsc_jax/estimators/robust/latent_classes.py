@@ -157,7 +157,7 @@ def _start_rates(flagged: Array, clear: Array, count: int, key: Array) -> Array:
 def nearest_classes(
     responsibilities: np.ndarray, shares: np.ndarray, represents: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The classes that are the most probable one of some Gaussian, (C,), and of which, (C, S) bool.
+    """Assign S Gaussians to their most probable class: the C classes used, members (C, S) bool.
 
     Half of the sample is drawn from what is flagged, so that an edit has a large share of it. By
     these `shares` (K,), Gaussians that no view of the edit shows would belong to its class, too. So

@@ -97,7 +97,7 @@ def parts(points: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
             own = columns.take(order[places], axis=1)
             axis = (own.max(axis=2) - own.min(axis=2)).argmax(axis=0)
             # Not quite along the axis: points in a plane across it are no ties.
-            along = np.einsum("pa,apc->pc", OBLIQUE[axis], own)
+            along = np.einsum("pa,apc->pc", OBLIQUE[axis, : len(columns)], own)
             halved = np.roll(along.argpartition(count // 2, axis=1), -(count // 2), axis=1)
             order[places] = np.take_along_axis(order[places], halved, axis=1)
         middles = (starts + counts - counts // 2)[counts > size]

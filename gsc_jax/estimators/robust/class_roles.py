@@ -90,23 +90,34 @@ def scene_probability(rate: float, views: float) -> float:
 
 
 def assign_roles(
-    rates: np.ndarray, weights: np.ndarray, *, inversion: bool = True, distractors: bool = True
+    rates: np.ndarray,
+    weights: np.ndarray,
+    part: np.ndarray | int = 0,
+    *,
+    inversion: bool = True,
+    distractors: bool = True,
 ) -> Roles | None:
     """Assign a role to each class; None if all visible weight belongs to one class.
 
     `rates` are the flag rates by class and view, `weights` the weight of a class that a view sees,
-    both (K, V). The options allow inverted masks, and distractors and second edits.
+    both (K, V), and `part` (K,) numbers the parts of the scene, each of which has something
+    authentic. The options allow inverted masks, and distractors and second edits.
     """
     mass = weights.sum(axis=1)
     shown_share = weights / np.maximum(weights.max(axis=1, keepdims=True), 1e-30)
     seen = np.minimum(1.0, shown_share / FULL_VIEW)
-    heaviest = _RateTable(rates=rates, seen=seen).heaviest(mass)
-    authentic = _largest(mass, heaviest)
-    shown, flagged = (x[heaviest].sum(axis=0) for x in (weights, weights * rates))
+    heaviest = _RateTable(rates=rates, seen=seen).heaviest(mass, np.broadcast_to(part, len(mass)))
+    shown, flagged = (x[heaviest.any(axis=0)].sum(axis=0) for x in (weights, weights * rates))
     inverted = inversion & (flagged > 0.5 * shown) & (shown >= FULL_VIEW * shown.max())
-    table = _RateTable(rates=np.where(inverted, 1 - rates, rates), seen=seen)
+    by_part = np.array([_largest(mass, classes) for classes in heaviest])
     others = mass > NEGLIGIBLE_WEIGHT * mass.sum()
-    others[authentic] = False
+    others[by_part] = False
+    # What is authentic in the parts becomes one class.
+    authentic, rates, seen = by_part[0], np.where(inverted, 1 - rates, rates), seen.copy()
+    flagged = np.where(inverted, shown - flagged, flagged)
+    rates[authentic] = flagged / np.maximum(shown, 1e-30)
+    seen[authentic] = np.minimum(1.0, shown / max(shown.max(), 1e-30) / FULL_VIEW)
+    table = _RateTable(rates=rates, seen=seen)
     if not others.any():
         return None
     frequency = np.where(others, table.flag_frequency(), -1.0)
@@ -168,15 +179,15 @@ class _RateTable:
         shown = (weights * (self.rates > 0.5))[classes]
         return float((shown * (1 - self.rates[classes])).sum() / max(shown.sum(), 1e-30))
 
-    def heaviest(self, mass: np.ndarray) -> np.ndarray:
-        """Mask of the classes that share a pattern and together have most weight, (K,) bool."""
+    def heaviest(self, mass: np.ndarray, part: np.ndarray) -> np.ndarray:
+        """Masks of the classes of each part that share a pattern and have most weight, (P, K)."""
         flagged = self.rates > 0.5
         differing_views = [
             (np.minimum(self.seen, seen) * (flagged != pattern)).sum(axis=1)
             for seen, pattern in zip(self.seen, flagged, strict=True)
         ]
-        same = np.array(differing_views) < SAME_PATTERN_VIEWS
-        return same[np.argmax(same @ mass)]
+        same = (np.array(differing_views) < SAME_PATTERN_VIEWS) & (part[:, None] == part[None])
+        return same[[_largest(same @ mass, part == one) for one in np.unique(part)]]
 
     def patterns(self, classes: list[int] | np.ndarray, *, fallback: int) -> np.ndarray:
         """Patterns of some classes; views that hardly see a class use the rate of the fallback."""

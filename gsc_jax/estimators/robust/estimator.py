@@ -38,6 +38,8 @@ RANGES: dict[str, tuple[float, float]] = {
 """Smallest and largest value of further numeric fields; whole numbers where the field is one."""
 MIN_FLAGGED_SHARE = 0.6
 """Share of all flags from which a region is labelled, even if most masks miss it."""
+TIE = 1e-3
+"""Log odds against tampering where the views of a Gaussian do not tell classes apart."""
 MAX_CLASSES = 100
 """Largest candidate number of classes; ten times what any scene of the tables has."""
 
@@ -168,12 +170,13 @@ class RobustEstimator(Estimator):
         """
         sums = gaussian_visibility.summed_visibility(evidence, self.half_weight)
         seen = sums[0] > 0
-        nothing = MaskEstimate(np.zeros(len(seen), np.float32), seen, np.zeros(len(seen), np.int8))
+        nothing = MaskEstimate(np.zeros(len(seen), np.float32), seen, np.zeros(len(seen), np.int16))
         if not (flagged and seen.any()):
             return nothing
         rows, represents = gaussian_visibility.stratified_sample(sums[0], sums[1], self.sample)
         sample = *gaussian_visibility.visibility(evidence, rows, self.half_weight), represents
-        if not (fits := self._roles_by_fit(*sample)):
+        parts = gaussian_visibility.covisible_parts(sample[0], represents, np.asarray(means)[rows])
+        if not (fits := self._roles_by_fit(*sample, parts)):
             return nothing
         # The criteria of several fits are nearly equal: rounding would choose the best one.
         by_fit, nearest = self._log_odds(evidence, fits, sample)
@@ -189,12 +192,36 @@ class RobustEstimator(Estimator):
         return MaskEstimate(probability, seen, region, roles, bool(distinct))
 
     def _roles_by_fit(
-        self, seen: np.ndarray, flagged: np.ndarray, represents: np.ndarray
+        self,
+        seen: np.ndarray,
+        flagged: np.ndarray,
+        represents: np.ndarray,
+        parts: Sequence[np.ndarray],
     ) -> list[Roles]:
         """Roles of the classes in the better half, an odd number, of EM fits to a sample.
 
-        Given their `visibility` (V, S), and how many each represents (S,).
+        Given their `visibility` (V, S), how many each represents (S,), and the rows of each part.
         """
+        by_part = [self._classes_by_fit(seen[:, p], flagged[:, p], represents[p]) for p in parts]
+        fits = []
+        for classes in zip(*by_part, strict=True):
+            rates, weights = map(np.concatenate, zip(*classes, strict=True))
+            fits.append(
+                assign_roles(
+                    rates,
+                    weights,
+                    np.repeat(np.arange(len(parts)), [len(own) for own, _ in classes]),
+                    inversion=self.inversion and len(seen) > 1,  # one alone differs from no other
+                    distractors=self.distractors,
+                )
+            )
+        fits = [roles for roles in fits if roles is not None]  # those of one class have no edit
+        return fits[: len(fits) // 2 | 1]
+
+    def _classes_by_fit(
+        self, seen: np.ndarray, flagged: np.ndarray, represents: np.ndarray
+    ) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Flag rates of classes, and their weight by view, both (K, V), by fit, best first."""
         fit = fit_classes(
             self.effective_pixels * flagged,
             self.effective_pixels * (seen - flagged),
@@ -202,20 +229,11 @@ class RobustEstimator(Estimator):
             restarts=self.restarts,
             seed=self.seed,
         )
-        fitted = map(np.asarray, (fit.classes.rates, fit.classes.shares, fit.responsibilities))
-        fits = []
-        for rates, shares, members in zip(*fitted, strict=True):
+        found, fitted = [], (fit.classes.rates, fit.classes.shares, fit.responsibilities)
+        for rates, shares, members in zip(*map(np.asarray, fitted), strict=True):
             classes, nearest = nearest_classes(members, shares, represents)
-            fits.append(
-                assign_roles(
-                    rates[classes],
-                    (nearest * represents) @ seen.T,
-                    inversion=self.inversion and len(seen) > 1,  # one alone differs from no other
-                    distractors=self.distractors,
-                )
-            )
-        fits = [roles for roles in fits if roles is not None]  # those of one class have no edit
-        return fits[: len(fits) // 2 | 1]
+            found.append((rates[classes], (nearest * represents) @ seen.T))
+        return found
 
     def _log_odds(
         self, evidence: EvidenceOfViews, fits: Sequence[Roles], sample: tuple[np.ndarray, ...]
@@ -224,7 +242,7 @@ class RobustEstimator(Estimator):
         shares = [(authentic_flag_share(roles, *sample), roles.missed) for roles in fits]
         weights = [[error_weight(self.class_log_odds, one) for one in both] for both in shares]
         log_odds = np.empty((len(fits), evidence.shape[1]), np.float32)
-        nearest = np.empty((len(fits), 2, evidence.shape[1]), np.int8)
+        nearest = np.empty((len(fits), 2, evidence.shape[1]), np.int16)
         # In blocks: arrays of all Gaussians, views and classes would take gigabytes.
         for block in blocks(evidence.shape[1], gaussian_visibility.BLOCK):
             seen, flagged = gaussian_visibility.visibility(evidence, block, self.half_weight)
@@ -235,7 +253,7 @@ class RobustEstimator(Estimator):
                 kinds = [np.flatnonzero(kind) for kind in (roles.tampered, ~roles.tampered)]
                 best = np.stack([kind[costs[kind].argmin(axis=0)] for kind in kinds])
                 tampered, other = np.take_along_axis(costs, best, axis=0)
-                log_odds[i, block], nearest[i, :, block] = other - tampered, best
+                log_odds[i, block], nearest[i, :, block] = other - tampered - TIE, best
         return log_odds, nearest
 
 
@@ -246,7 +264,7 @@ class MaskEstimate:
     Attributes:
         probability: Probability of tampering, given an edit, shape (N,) float32; 0 if unseen.
         seen: Mask of the Gaussians visible in at least one view, shape (N,) bool.
-        region: Nearest class of the roles, a tampered one where labelled, shape (N,) int8.
+        region: Nearest class of the roles, a tampered one where labelled, shape (N,) int16.
         roles: Roles by the fit whose labels agree best; None if every fit has one class only.
         distinct: Whether at least three masks flag what would be labelled, and little else.
     """

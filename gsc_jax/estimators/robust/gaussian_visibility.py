@@ -3,10 +3,16 @@
 import numpy as np
 
 from gsc_jax.evidence.lifting import EvidenceOfViews
+from gsc_jax.scene.neighbours import parts
 from gsc_jax.scene.parallel import blocks
 
 BLOCK = 2**15
 """Gaussians whose evidence is in memory at once, 26 MB for 100 views."""
+
+UNDIVIDED, COVISIBLE, MIN_PART = 0.5, 0.6, 256
+"""Share of a part of the scene that a typical view of it shows, and the least size of a part."""
+CELLS, FULL_CELL = 32, 0.2
+""""""
 
 
 def visibility(
@@ -46,3 +52,35 @@ def stratified_sample(seen: np.ndarray, flagged: np.ndarray, size: int) -> tuple
     steps = (np.arange(size) + 0.5) / size * cumulative[-1]
     chosen = order[np.minimum(np.searchsorted(cumulative, steps), len(order) - 1)]
     return chosen, 1.0 / density[chosen]
+
+
+def covisible_parts(
+    seen: np.ndarray, represents: np.ndarray, means: np.ndarray
+) -> list[np.ndarray]:
+    """Divide a sample of S Gaussians into compact parts that views show together: their rows.
+
+    A flight over a city shows a small part of it in each view. Classes of the whole scene would
+    then join what is flagged in one place with what is flagged in another. Given the `visibility`
+    in the views (V, S), how many Gaussians each represents (S,), and their centres (S, D).
+    """
+    size, means = len(represents), np.nan_to_num(means[:, :3])
+    while True:
+        order, starts = parts(means, size)
+        found = np.split(order, starts[1:])
+        shares = [_covisibility(seen[:, rows] * represents[rows], means[rows]) for rows in found]
+        enough = UNDIVIDED if len(found) == 1 else COVISIBLE
+        if np.mean(shares) >= enough or size < 2 * MIN_PART:
+            return found
+        size = -(-size // 2)
+
+
+def _covisibility(weights: np.ndarray, means: np.ndarray) -> float:
+    """Share of the cells of a scene that are seen where a random one of them is.
+
+    In cells, for the back of what a view shows is no other part of the scene.
+    """
+    order, starts = parts(means, max(1, len(means) // CELLS))
+    shown = np.add.reduceat(weights[:, order], starts, axis=1)
+    seen = np.minimum(1, shown / shown.max(axis=0) / FULL_CELL)
+    by_view = seen.sum(axis=1)
+    return float(by_view @ by_view / (by_view.sum() * len(starts)))

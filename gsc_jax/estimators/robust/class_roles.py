@@ -21,6 +21,8 @@ FULL_VIEW = 0.2
 """A view has full weight for a class if it sees at least this share of what the best view sees."""
 LEAST_VIEW = 0.2
 """Visibility in [0, 1] above which the rate of a class in a view is used as its pattern."""
+HARDLY_SEEN = 0.05
+"""Visibility up to which a view does not show a class: what is seen there is no member of it."""
 RATE_DIFFERENCE = 0.6
 """A view separates two classes if their rates differ by more."""
 SAME_PATTERN_VIEWS = 1.5
@@ -56,6 +58,7 @@ class Roles:
 
     inverted: np.ndarray
     patterns: np.ndarray
+    unseen: np.ndarray
     tampered: np.ndarray
     rates: np.ndarray
     seen: np.ndarray
@@ -106,7 +109,8 @@ def assign_roles(
     mass = weights.sum(axis=1)
     shown_share = weights / np.maximum(weights.max(axis=1, keepdims=True), 1e-30)
     seen = np.minimum(1.0, shown_share / FULL_VIEW)
-    heaviest = _RateTable(rates=rates, seen=seen).heaviest(mass, np.broadcast_to(part, len(mass)))
+    part = np.broadcast_to(part, len(mass))
+    heaviest = _RateTable(rates=rates, seen=seen).heaviest(mass, part)
     shown, flagged = (x[heaviest.any(axis=0)].sum(axis=0) for x in (weights, weights * rates))
     inverted = inversion & (flagged > 0.5 * shown) & (shown >= FULL_VIEW * shown.max())
     by_part = np.array([_largest(mass, classes) for classes in heaviest])
@@ -122,23 +126,26 @@ def assign_roles(
         return None
     frequency = np.where(others, table.flag_frequency(), -1.0)
     first = _largest(mass * table.sharpness, frequency >= NEAR_BEST * frequency.max())
-    distinct = others & distractors & (table.sharpness >= MIN_SHARPNESS)
-    distinct &= table.separating_views(first) >= SAME_PATTERN_VIEWS
-    distinct &= table.separating_views(authentic) >= 0.5
+    flagged = others & distractors & (table.sharpness >= MIN_SHARPNESS)
+    flagged &= table.separating_views(authentic) >= 0.5
     both_shown = np.minimum(shown_share, shown_share[first])
-    distinct &= (both_shown * table.differs(first)).sum(1) >= SEPARATED_SHARE * both_shown.sum(1)
+    distinct = (both_shown * table.differs(first)).sum(1) >= SEPARATED_SHARE * both_shown.sum(1)
+    distinct &= table.separating_views(first) >= SAME_PATTERN_VIEWS
     often = frequency > max(SECOND_EDIT * frequency[first], MIN_SECOND_EDIT)
-    second, distractor = np.flatnonzero(distinct & often), np.flatnonzero(distinct & ~often)
+    second = np.flatnonzero(flagged & often & (distinct | (part != part[first])))
+    distractor = np.flatnonzero(flagged & ~often & distinct)
     patterns = [
         *table.patterns([authentic], fallback=authentic),
         *table.patterns(np.append(first, second), fallback=first),
         *table.patterns(distractor, fallback=authentic),
     ]
     order = np.concatenate([[authentic, first], second, distractor])
+    tampered = (np.arange(len(patterns)) > 0) & (np.arange(len(patterns)) < 2 + len(second))
     return Roles(
         inverted=inverted,
         patterns=np.stack(patterns),
-        tampered=(np.arange(len(patterns)) > 0) & (np.arange(len(patterns)) < 2 + len(second)),
+        unseen=(seen[order] <= HARDLY_SEEN) & tampered[:, None],
+        tampered=tampered,
         rates=table.flag_frequency(1e-30)[order],
         seen=seen.sum(axis=1)[order],
         missed=table.missed(weights, np.append(first, second)),

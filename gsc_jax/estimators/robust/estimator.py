@@ -249,6 +249,7 @@ class RobustEstimator(Estimator):
             for i, roles in enumerate(fits):
                 errors = pattern_errors(roles, seen, flagged)
                 costs = weights[i][0] * errors[0] + weights[i][1] * errors[1]
+                costs += roles.unseen.astype(np.float32) * np.float32(self.class_log_odds) @ seen
                 # Only the nearest class of each kind counts: similar distractors must not add up.
                 kinds = [np.flatnonzero(kind) for kind in (roles.tampered, ~roles.tampered)]
                 best = np.stack([kind[costs[kind].argmin(axis=0)] for kind in kinds])

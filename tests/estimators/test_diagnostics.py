@@ -15,6 +15,7 @@ HALF = np.arange(40) < 20
 SOME_ROLES = Roles(
     inverted=np.zeros(4, bool),
     patterns=np.zeros((2, 4), bool),
+    unseen=np.zeros((2, 4), bool),
     tampered=np.array([False, True]),
     rates=np.full(2, 0.5),
     seen=np.full(2, 4.0),

@@ -1,5 +1,7 @@
 """Sampled Gaussians, views that contradict their classes, and false flags."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -48,6 +50,7 @@ def test_pattern_errors_of_a_mixed_pattern_with_an_inverted_view():
     roles = Roles(
         inverted=np.array([False, True]),
         patterns=np.array([[False, False], [True, False]]),
+        unseen=np.zeros((2, 2), bool),
         tampered=np.array([False, True]),
         rates=np.zeros(2),
         seen=np.ones(2),
@@ -58,6 +61,10 @@ def test_pattern_errors_of_a_mixed_pattern_with_an_inverted_view():
     assert false_alarms.T.tolist() == [[0.25, 0.125]]
     assert misses.T.tolist() == [[0.0, 0.375]]
     assert authentic_flag_share(roles, seen, flagged, np.ones(1)) == 0.25
+    elsewhere = dataclasses.replace(roles, unseen=np.array([[False, False], [False, True]]))
+    false_alarms, misses = pattern_errors(elsewhere, seen, flagged)
+    assert false_alarms.T.tolist() == [[0.25, 0.5]], "it is visible where its class is not"
+    assert misses.T.tolist() == [[0.0, 0.375]]
 
 
 @pytest.mark.parametrize("classes", [2, 3, 4])
@@ -69,6 +76,7 @@ def test_authentic_flag_share_of_a_sample(classes):
     roles = Roles(
         inverted=rng.random(7) < 0.3,
         patterns=rng.random((classes, 7)) < 0.5,
+        unseen=np.zeros((classes, 7), bool),
         tampered=np.arange(classes) == 1,
         rates=np.zeros(classes),
         seen=np.full(classes, 7.0),

@@ -51,12 +51,13 @@ class WithRoles(RobustEstimator):
     turned: int = 0
     missed: float = 0.0
 
-    def _roles_by_fit(self, seen: object, flagged: object, represents: object) -> list[Roles]:
-        del seen, flagged, represents
+    def _roles_by_fit(self, *sample: object) -> list[Roles]:
+        del sample
         return [
             Roles(
                 inverted=np.arange(VIEWS) < self.turned,
                 patterns=FLAGGED[list(groups)],
+                unseen=np.zeros((len(groups), VIEWS), bool),
                 tampered=np.arange(len(groups)) == 1,
                 rates=FLAGGED[list(groups)].mean(axis=1),
                 seen=np.full(len(groups), float(VIEWS)),
@@ -125,7 +126,8 @@ GROUPS = Evidence(
     tampered=(1e6 * FLAGGED[KINDS].T).astype(np.float32),
 )
 """Masks that flag the groups without an error."""
-EVERYTHING = *visibility(GROUPS, slice(None), 8.0), np.ones(len(KINDS), np.float32)
+ONE_PART = [np.arange(len(KINDS))]
+EVERYTHING = *visibility(GROUPS, slice(None), 8.0), np.ones(len(KINDS), np.float32), ONE_PART
 
 
 def test_em_finds_the_given_roles():

@@ -63,6 +63,7 @@ class Roles:
     rates: np.ndarray
     seen: np.ndarray
     missed: float
+    parts: int = 1
 
     @property
     def rate(self) -> float:
@@ -149,6 +150,7 @@ def assign_roles(
         rates=table.flag_frequency(1e-30)[order],
         seen=seen.sum(axis=1)[order],
         missed=table.missed(weights, np.append(first, second)),
+        parts=len(by_part),
     )
 
 

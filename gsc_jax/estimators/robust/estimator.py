@@ -144,13 +144,14 @@ class RobustEstimator(Estimator):
             both = prior_fusion.fuse(probability, from_masks, known, prior, self.prior_weight, rank)
             (probability, verdict), known = both, known | prior.known
         edited = lifted.distinct or max(verdict, from_masks) >= self.min_verdict
+        chances = roles.parts if roles else 1  # masks may agree by chance in any part (Bonferroni)
         log_odds = prior_fusion.log_odds_of(probability)
         labels = (probability > self.threshold) & edited
         return Finding(
             tamper=probability * edited,
             labels=labels,
             attribute=np.where(known, log_odds, 0.0).astype(np.float32),
-            verdict=verdict,
+            verdict=verdict / (verdict + chances * (1 - verdict)),
             reliability=diagnostics.reliability(evidence, labels, lifted.roles),
             rank=rank,
             warnings=[NONE_FLAGGED + diagnostics.FROM_PRIOR * bool(labels.any())]
@@ -249,7 +250,6 @@ class RobustEstimator(Estimator):
             for i, roles in enumerate(fits):
                 errors = pattern_errors(roles, seen, flagged)
                 costs = weights[i][0] * errors[0] + weights[i][1] * errors[1]
-                costs += roles.unseen.astype(np.float32) * np.float32(self.class_log_odds) @ seen
                 # Only the nearest class of each kind counts: similar distractors must not add up.
                 kinds = [np.flatnonzero(kind) for kind in (roles.tampered, ~roles.tampered)]
                 best = np.stack([kind[costs[kind].argmin(axis=0)] for kind in kinds])
@@ -281,10 +281,12 @@ def pattern_errors(roles: Roles, seen: np.ndarray, flagged: np.ndarray) -> np.nd
     """Number of views whose mask contradicts that a Gaussian belongs to a class, shape (2, C, M).
 
     First those that flag a Gaussian and should not, then those that should and do not, after
-    inverted masks are turned; each view counts with the `visibility` (V, M) of the Gaussian.
+    inverted masks are turned; each view counts with the `visibility` (V, M) of the Gaussian. A view
+    that shows the Gaussian contradicts a class that is `unseen` in it in any case.
     """
     kinds, expected = np.stack([~roles.patterns, roles.patterns]), roles.patterns ^ roles.inverted
-    if_flagged, if_clear = ((kinds & wrong).astype(np.float32) for wrong in (~expected, expected))
+    wrong = ~expected | roles.unseen, expected | roles.unseen
+    if_flagged, if_clear = ((kinds & one).astype(np.float32) for one in wrong)
     return (if_flagged - if_clear) @ flagged + if_clear @ seen  # no temporary (V, M)
 
 

@@ -9,7 +9,7 @@ from gsc_jax.scene.parallel import blocks
 BLOCK = 2**15
 """Gaussians whose evidence is in memory at once, 26 MB for 100 views."""
 
-UNDIVIDED, COVISIBLE, MIN_PART = 0.5, 0.6, 256
+UNDIVIDED, COVISIBLE, MIN_PART = 0.45, 0.6, 256
 """Share of a part of the scene that a typical view of it shows, and the least size of a part."""
 CELLS, FULL_CELL = 32, 0.2
 """"""
@@ -67,20 +67,21 @@ def covisible_parts(
     while True:
         order, starts = parts(means, size)
         found = np.split(order, starts[1:])
-        shares = [_covisibility(seen[:, rows] * represents[rows], means[rows]) for rows in found]
+        shares = [_covisibility(seen[:, rows], represents[rows], means[rows]) for rows in found]
         enough = UNDIVIDED if len(found) == 1 else COVISIBLE
         if np.mean(shares) >= enough or size < 2 * MIN_PART:
             return found
         size = -(-size // 2)
 
 
-def _covisibility(weights: np.ndarray, means: np.ndarray) -> float:
+def _covisibility(seen: np.ndarray, represents: np.ndarray, means: np.ndarray) -> float:
     """Share of the cells of a scene that are seen where a random one of them is.
 
     In cells, for the back of what a view shows is no other part of the scene.
     """
     order, starts = parts(means, max(1, len(means) // CELLS))
-    shown = np.add.reduceat(weights[:, order], starts, axis=1)
-    seen = np.minimum(1, shown / shown.max(axis=0) / FULL_CELL)
-    by_view = seen.sum(axis=1)
-    return float(by_view @ by_view / (by_view.sum() * len(starts)))
+    size = np.add.reduceat(represents[order], starts)
+    shown = np.add.reduceat((seen * represents)[:, order], starts, axis=1)
+    shown = np.minimum(1, shown / shown.max(axis=0) / FULL_CELL)
+    by_view = shown @ size
+    return float(by_view @ by_view / (by_view.sum() * size.sum()))

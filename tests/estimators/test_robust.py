@@ -140,6 +140,7 @@ LIMITS = {
     **dict.fromkeys(("restarts", "neighbours"), (1, 1000)),
     **dict.fromkeys(("half_weight", "effective_pixels", "class_log_odds", "near"), (1e-9, 1e9)),
     "smoothing": (0.0, 1e9),
+    "covisibility": (0.0, 1.0),
     **dict.fromkeys(("prior_weight", "min_verdict", "tolerance", "threshold"), (0.0, 1.0)),
 }
 
@@ -163,6 +164,7 @@ def test_the_defaults_are_those_of_the_tables():
         "restarts": 8,
         "sample": 8192,
         "half_weight": 8.0,
+        "covisibility": 0.45,
         "effective_pixels": 8.0,
         "inversion": True,
         "distractors": True,

@@ -111,18 +111,9 @@ def assign_roles(
     shown_share = weights / np.maximum(weights.max(axis=1, keepdims=True), 1e-30)
     seen = np.minimum(1.0, shown_share / FULL_VIEW)
     part = np.broadcast_to(part, len(mass))
-    heaviest = _RateTable(rates=rates, seen=seen).heaviest(mass, part)
-    shown, flagged = (x[heaviest.any(axis=0)].sum(axis=0) for x in (weights, weights * rates))
-    inverted = inversion & (flagged > 0.5 * shown) & (shown >= FULL_VIEW * shown.max())
-    by_part = np.array([_largest(mass, classes) for classes in heaviest])
+    table, authentic, inverted = _turned(rates, weights, seen, part, inversion=inversion)
     others = mass > NEGLIGIBLE_WEIGHT * mass.sum()
-    others[by_part] = False
-    # What is authentic in the parts becomes one class.
-    authentic, rates, seen = by_part[0], np.where(inverted, 1 - rates, rates), seen.copy()
-    flagged = np.where(inverted, shown - flagged, flagged)
-    rates[authentic] = flagged / np.maximum(shown, 1e-30)
-    seen[authentic] = np.minimum(1.0, shown / max(shown.max(), 1e-30) / FULL_VIEW)
-    table = _RateTable(rates=rates, seen=seen)
+    others[authentic], authentic = False, authentic[0]
     if not others.any():
         return None
     frequency = np.where(others, table.flag_frequency(), -1.0)
@@ -150,8 +141,27 @@ def assign_roles(
         rates=table.flag_frequency(1e-30)[order],
         seen=seen.sum(axis=1)[order],
         missed=table.missed(weights, np.append(first, second)),
-        parts=len(by_part),
+        parts=len(np.unique(part)),
     )
+
+
+def _turned(
+    rates: np.ndarray, weights: np.ndarray, seen: np.ndarray, part: np.ndarray, *, inversion: bool
+) -> tuple["_RateTable", np.ndarray, np.ndarray]:
+    """Rates after inverted masks are turned, the authentic class of each part (P,), and `inverted`.
+
+    The first of these classes stands for what is authentic in all parts.
+    """
+    mass = weights.sum(axis=1)
+    heaviest = _RateTable(rates=rates, seen=seen).heaviest(mass, part)
+    authentic = np.array([_largest(mass, classes) for classes in heaviest])
+    shown, flagged = (x[heaviest.any(axis=0)].sum(axis=0) for x in (weights, weights * rates))
+    inverted = inversion & (flagged > 0.5 * shown) & (shown >= FULL_VIEW * shown.max())
+    rates, seen = np.where(inverted, 1 - rates, rates), seen.copy()
+    flagged = np.where(inverted, shown - flagged, flagged)
+    rates[authentic[0]] = flagged / np.maximum(shown, 1e-30)
+    seen[authentic[0]] = np.minimum(1.0, shown / max(shown.max(), 1e-30) / FULL_VIEW)
+    return _RateTable(rates=rates, seen=seen), authentic, inverted
 
 
 def _largest(values: np.ndarray, among: np.ndarray) -> int:

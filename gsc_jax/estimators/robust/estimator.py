@@ -34,6 +34,7 @@ RANGES: dict[str, tuple[float, float]] = {
     **dict.fromkeys(("restarts", "neighbours"), (1, 1000)),
     **dict.fromkeys(("half_weight", "effective_pixels", "class_log_odds"), (1e-9, 1e9)),
     "smoothing": (0.0, 1e9),
+    "covisibility": (0.0, 1.0),
 }
 """Smallest and largest value of further numeric fields; whole numbers where the field is one."""
 MIN_FLAGGED_SHARE = 0.6
@@ -56,6 +57,8 @@ class RobustEstimator(Estimator):
         restarts: EM starts for each candidate; the better half of all fits decides.
         sample: Number of Gaussians for the classes and the weight of a flag.
         half_weight: Weight in pixels at which a view counts one half.
+        covisibility: Share of the scene in a typical view below which parts of it have their own
+            classes; 0 never divides it.
         effective_pixels: Number of independent pixels that a full view counts in EM.
         inversion: Whether masks may be inverted, if there is more than one.
         distractors: Whether authentic regions may be flagged consistently in some views.
@@ -82,6 +85,7 @@ class RobustEstimator(Estimator):
     restarts: int = 8
     sample: int = 8192
     half_weight: float = 8.0
+    covisibility: float = 0.45
     effective_pixels: float = 8.0
     inversion: bool = True
     distractors: bool = True
@@ -176,7 +180,8 @@ class RobustEstimator(Estimator):
             return nothing
         rows, represents = gaussian_visibility.stratified_sample(sums[0], sums[1], self.sample)
         sample = *gaussian_visibility.visibility(evidence, rows, self.half_weight), represents
-        parts = gaussian_visibility.covisible_parts(sample[0], represents, np.asarray(means)[rows])
+        places = np.asarray(means)[rows]
+        parts = gaussian_visibility.covisible_parts(*sample[::2], places, self.covisibility)
         if not (fits := self._roles_by_fit(*sample, parts)):
             return nothing
         # The criteria of several fits are nearly equal: rounding would choose the best one.

@@ -9,10 +9,10 @@ from gsc_jax.scene.parallel import blocks
 BLOCK = 2**15
 """Gaussians whose evidence is in memory at once, 26 MB for 100 views."""
 
-UNDIVIDED, COVISIBLE, MIN_PART = 0.45, 0.6, 256
-"""Share of a part of the scene that a typical view of it shows, and the least size of a part."""
+MIN_PART, COVISIBLE = 256, 0.6
+"""Gaussians of the sample in a part at least, and share of a part that is enough for a view."""
 CELLS, FULL_CELL = 32, 0.2
-""""""
+"""Cells of a part, and the share of the best view of a cell from which on it is seen in full."""
 
 
 def visibility(
@@ -55,33 +55,32 @@ def stratified_sample(seen: np.ndarray, flagged: np.ndarray, size: int) -> tuple
 
 
 def covisible_parts(
-    seen: np.ndarray, represents: np.ndarray, means: np.ndarray
+    seen: np.ndarray, represents: np.ndarray, means: np.ndarray, least: float
 ) -> list[np.ndarray]:
     """Divide a sample of S Gaussians into compact parts that views show together: their rows.
 
-    A flight over a city shows a small part of it in each view. Classes of the whole scene would
-    then join what is flagged in one place with what is flagged in another. Given the `visibility`
-    in the views (V, S), how many Gaussians each represents (S,), and their centres (S, D).
+    Each view of a flight over a city, or from the middle of a room, shows little of the scene. The
+    few classes of the whole scene would join what masks flag in one place with what they flag in
+    another. It is one part if a typical view shows at least the share `least` of it. Given the
+    `visibility` in V views (V, S), how many Gaussians each represents (S,), and means (S, D).
     """
     size, means = len(represents), np.nan_to_num(means[:, :3])
     while True:
         order, starts = parts(means, size)
         found = np.split(order, starts[1:])
         shares = [_covisibility(seen[:, rows], represents[rows], means[rows]) for rows in found]
-        enough = UNDIVIDED if len(found) == 1 else COVISIBLE
-        if np.mean(shares) >= enough or size < 2 * MIN_PART:
+        if np.mean(shares) >= (least if len(found) == 1 else COVISIBLE) or size < 2 * MIN_PART:
             return found
         size = -(-size // 2)
 
 
 def _covisibility(seen: np.ndarray, represents: np.ndarray, means: np.ndarray) -> float:
-    """Share of the cells of a scene that are seen where a random one of them is.
+    """Share of the scene that is seen where a random part of it is.
 
-    In cells, for the back of what a view shows is no other part of the scene.
+    In cells: the back of what a view shows is not another part of the scene.
     """
     order, starts = parts(means, max(1, len(means) // CELLS))
-    size = np.add.reduceat(represents[order], starts)
-    shown = np.add.reduceat((seen * represents)[:, order], starts, axis=1)
-    shown = np.minimum(1, shown / shown.max(axis=0) / FULL_CELL)
-    by_view = shown @ size
+    weights = seen * represents, represents
+    shown, size = (np.add.reduceat(each[..., order], starts, axis=-1) for each in weights)
+    by_view = np.minimum(1, shown / shown.max(axis=0) / FULL_CELL) @ size
     return float(by_view @ by_view / (by_view.sum() * size.sum()))

@@ -68,22 +68,23 @@ def outward_cameras(n: int, *, seed: int = 0, prefix: str = "outward") -> list[C
     turns = 2 * np.pi * (np.arange(n) + rng.random()) * 5 / n  # five times round
     ahead = np.stack([np.cos(turns), rng.uniform(-0.3, 0.4, n), np.sin(turns)], axis=1)
     places = rng.uniform([-0.4, -1.75, -0.4], [0.4, -1.25, 0.4], (n, 3)) + 0.5 * ahead * [1, 0, 1]
-    return _looking(places, places + ahead, UP, prefix)
+    return _looking(places, places + ahead, prefix)
 
 
 def flight_cameras(side: int, *, seed: int = 0, prefix: str = "flight") -> list[Camera]:
-    """Make side x side cameras above a garden that look down, the top of the images to +z."""
+    """Make side x side cameras above a garden that look down, in lines to and fro."""
     rng = np.random.default_rng([seed, 8])
-    x, z = (SPACING * (k - (side - 1) / 2) for k in np.divmod(np.arange(side**2), side))
+    line, step = np.divmod(np.arange(side**2), side)
+    x, z = (SPACING * (k - (side - 1) / 2) for k in (line, step))
     places = np.stack([x, np.full(side**2, -ABOVE), z], axis=1)
     places += rng.normal(0, 0.15, places.shape)
-    below = places * [1, 0, 1] + rng.normal(0, 0.3, places.shape) * [1, 0, 1]
-    return _looking(places, below, np.array([0.0, 0, 1]), prefix)
+    ahead = np.stack([0 * x, np.full(side**2, ABOVE), np.where(line % 2, 2.0, -2.0)], axis=1)
+    return _looking(places, places + ahead + rng.normal(0, [0.3, 0, 0.3], places.shape), prefix)
 
 
-def _looking(places: np.ndarray, targets: np.ndarray, up: np.ndarray, prefix: str) -> list[Camera]:
+def _looking(places: np.ndarray, targets: np.ndarray, prefix: str) -> list[Camera]:
     K = intrinsics(0.75 * WIDTH, WIDTH, HEIGHT)
-    views = [look_at(*pair, up) for pair in zip(places, targets, strict=True)]
+    views = [look_at(*pair, UP) for pair in zip(places, targets, strict=True)]
     return [
         Camera(viewmat=view, K=K, width=WIDTH, height=HEIGHT, name=f"{prefix}_{i:03d}")
         for i, view in enumerate(views)

@@ -76,6 +76,13 @@ class Roles:
         found = scene_probability(self.rate, float(self.seen[np.argmax(self.tampered)]))
         return min(found, MAX_OF_FEW) if self.few_views else found
 
+    def of_any_part(self, probability: float) -> float:
+        """A scene probability, less where masks may agree by chance in any of several parts.
+
+        Those next to each other share views: they count as their square root (Bonferroni).
+        """
+        return probability / (probability + self.parts**0.5 * (1 - probability))
+
     @property
     def few_views(self) -> bool:
         """Whether fewer than `MIN_MASKS` views see the first tampered class."""

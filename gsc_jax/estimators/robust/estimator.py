@@ -148,14 +148,13 @@ class RobustEstimator(Estimator):
             both = prior_fusion.fuse(probability, from_masks, known, prior, self.prior_weight, rank)
             (probability, verdict), known = both, known | prior.known
         edited = lifted.distinct or max(verdict, from_masks) >= self.min_verdict
-        chances = roles.parts if roles else 1  # masks may agree by chance in any part (Bonferroni)
         log_odds = prior_fusion.log_odds_of(probability)
         labels = (probability > self.threshold) & edited
         return Finding(
             tamper=probability * edited,
             labels=labels,
             attribute=np.where(known, log_odds, 0.0).astype(np.float32),
-            verdict=verdict / (verdict + chances * (1 - verdict)),
+            verdict=roles.of_any_part(verdict) if roles else verdict,
             reliability=diagnostics.reliability(evidence, labels, lifted.roles),
             rank=rank,
             warnings=[NONE_FLAGGED + diagnostics.FROM_PRIOR * bool(labels.any())]

@@ -162,10 +162,17 @@ def _turned(
     mass = weights.sum(axis=1)
     heaviest = _RateTable(rates=rates, seen=seen).heaviest(mass, part)
     authentic = np.array([_largest(mass, classes) for classes in heaviest])
-    shown, flagged = (x[heaviest.any(axis=0)].sum(axis=0) for x in (weights, weights * rates))
+
+    def pooled(*values: np.ndarray) -> list[np.ndarray]:
+        return [x[heaviest.any(axis=0)].sum(axis=0) for x in values]
+
+    shown, flagged = pooled(weights, weights * rates)
     inverted = inversion & (flagged > 0.5 * shown) & (shown >= FULL_VIEW * shown.max())
     rates, seen = np.where(inverted, 1 - rates, rates), seen.copy()
-    flagged = np.where(inverted, shown - flagged, flagged)
+    clear = _RateTable(rates=rates, seen=seen).flag_frequency()[authentic] <= 0.5
+    if clear.any():  # a part that most views flag shows little but the edit
+        heaviest, authentic = heaviest[clear], authentic[clear]
+    shown, flagged = pooled(weights, weights * rates)
     rates[authentic[0]] = flagged / np.maximum(shown, 1e-30)
     seen[authentic[0]] = np.minimum(1.0, shown / max(shown.max(), 1e-30) / FULL_VIEW)
     return _RateTable(rates=rates, seen=seen), authentic, inverted

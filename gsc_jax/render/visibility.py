@@ -80,7 +80,7 @@ def check_views(
         advice = advice or NO_CONVENTION * (len(blind) > MAX_BLIND * len(cameras))
         warnings.append(f"{len(blind)} of {len(cameras)} cameras see too little: {names}{advice}")
     elif typical < LOW_SHARE <= share:
-        warnings.append(f"a typical camera sees {typical:.1%} of the scene, too little for robust")
+        warnings.append(f"a typical camera sees {typical:.1%} of the scene; few masks can agree")
     return warnings
 
 

@@ -181,7 +181,7 @@ def _from_views(
         with monitor.stage("optimise"):
             finding = estimator.estimate(observation, prior)
     with monitor.stage("optimise"):
-        reasons = doubts(observation, near=estimator.near)
+        reasons = doubts(observation, finding.labels, near=estimator.near)
     if reasons and estimator.uses_prior and isinstance(prior, ForensicEvidence):
         finding, _ = _from_attributes(estimator, prior, monitor)
     elif reasons and finding.verdict is not None:

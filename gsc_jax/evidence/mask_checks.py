@@ -37,8 +37,10 @@ def properties(image: np.ndarray) -> dict[str, np.ndarray]:
     return named | {"edges": np.hypot(*np.gradient(brightness))}
 
 
-def doubts(observation: Observation, *, near: float = NEAR) -> list[str]:
-    """Reasons why the masks of an observation are no evidence of an edit, as sentences."""
+def doubts(
+    observation: Observation, region: np.ndarray | None = None, *, near: float = NEAR
+) -> list[str]:
+    """Reasons why masks are no evidence of an edit of a region, (N,) bool, as sentences."""
     found = []
     if same_pixels(observation):
         found.append(
@@ -50,7 +52,10 @@ def doubts(observation: Observation, *, near: float = NEAR) -> list[str]:
             f"The masks follow the {best[0]} of the images: one threshold on it separates what "
             "they flag in all views. They are no evidence of an edit; use another detector."
         )
-    if (agreed := agreement(observation.evidence)) is not None and agreed < MIN_CORRELATION:
+    agreed = agreement(observation.evidence)
+    if agreed is not None and agreed < MIN_CORRELATION:  # few views may show the region
+        agreed = max(agreed, agreement(observation.evidence, region) or 0.0)
+    if agreed is not None and agreed < MIN_CORRELATION:
         found.append(
             f"The masks of different views flag the same Gaussians hardly more often than chance "
             f"would (correlation {agreed:.2f}). They are no evidence of an edit; are they of these "
@@ -103,19 +108,21 @@ def separation(values: np.ndarray, flagged: np.ndarray) -> float:
     return float(0.5 + 0.5 * np.abs(below[1] - below[0]).max())
 
 
-def agreement(evidence: EvidenceOfViews) -> float | None:
+def agreement(evidence: EvidenceOfViews, region: np.ndarray | None = None) -> float | None:
     """How well masks agree through the scene: the correlation of each view with all others.
 
     The share of the weight of a Gaussian that a view flags is compared with the share that all
     other views flag, weighted by its weight in the view. The median of the absolute correlations of
-    up to four times `CHECKED` views, since inverted masks agree, too; None if hardly a view varies.
+    up to four times `CHECKED` views, since inverted masks agree, too, of those that show a region,
+    (N,) bool, if it has any Gaussian; None if hardly a view varies.
     """
-    count, found = evidence.shape[0], []
-    total, tampered = np.zeros((2, evidence.shape[1]))
-    for view in evidence.views():
+    region = slice(None) if region is None or not region.any() else region
+    total, tampered, showing, found = *np.zeros((2, evidence.shape[1])), [], []
+    for index, view in enumerate(evidence.views()):
         total += np.asarray(view.total)
         tampered += np.asarray(view.tampered)
-    for index in range(0, count, max(1, count // (4 * CHECKED))):
+        showing += [index] * bool(np.any(np.asarray(view.total)[region]))
+    for index in showing[:: max(1, len(showing) // (4 * CHECKED))]:
         view = evidence.view(index)
         weight, own = np.asarray(view.total, float), np.asarray(view.tampered, float)
         rest = total - weight

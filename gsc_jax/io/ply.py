@@ -149,13 +149,8 @@ def save_tampered(path: str | Path, scene: PlyScene, tamper: Array) -> None:
     Scores have shape (N,); excluded rows get 0.
     """
     scores = scene.expand(checked_scores(path, tamper, len(scene.rows)))
-    vertex, data = copy.copy(scene.ply["vertex"]), scene.ply["vertex"].data
-
-    def vertices(rows: slice) -> PlyElement:
-        vertex.data = data[rows]
-        return _with_tamper(vertex, scores[rows])
-
-    _write(path, scene.ply, vertices, len(data))
+    vertex = scene.ply["vertex"]
+    _write(path, scene.ply, lambda rows: _with_tamper(vertex, scores, rows), len(vertex))
 
 
 def save_parts(
@@ -257,15 +252,15 @@ def _scene(ply: PlyData, path: Path) -> PlyScene:
     return scene
 
 
-def _with_tamper(vertex: PlyElement, scores: np.ndarray) -> PlyElement:
-    """Copy of vertices with their scores as the last property `tamper`."""
+def _with_tamper(vertex: PlyElement, scores: np.ndarray, rows: slice = np.s_[:]) -> PlyElement:
+    """Copy of rows of vertices with their scores as the last property `tamper`."""
     scored = copy.copy(vertex)  # keeps comments and the types of list properties
     kept = [prop for prop in vertex.properties if prop.name != "tamper"]
     dtype = [(prop.name, vertex.data.dtype[prop.name]) for prop in kept]
-    data = np.empty(len(vertex), [*dtype, ("tamper", "<f4")])
+    data = np.empty(len(scores[rows]), [*dtype, ("tamper", "<f4")])
     for prop in kept:
-        data[prop.name] = vertex.data[prop.name]
-    data["tamper"] = scores
+        data[prop.name] = vertex.data[prop.name][rows]
+    data["tamper"] = scores[rows]
     scored.data, scored.properties = data, (*kept, PlyProperty("tamper", "f4"))
     return scored
 

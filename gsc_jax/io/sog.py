@@ -9,12 +9,10 @@ import io
 import json
 import zipfile
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import jax
-import numpy as np
 from PIL import Image
 
 from gsc_jax.io.files import check_allocation, existing_file
@@ -64,28 +62,22 @@ def _read_streamed(
             place = _chunk(folder, files[part["file"]])
             ranges[place].append((int(part["offset"]), int(part["count"])))
     if environment := index.get("environment"):
-        ranges[_chunk(folder, environment)].append((0, None))
+        ranges[_chunk(folder, environment)].append((0, None))  # all of its rows
     parts, needed = [], 0
     for place, rows in ranges.items():
         left = None if max_bytes is None else max_bytes - needed
-        chunk = decode(_checked(_bundle(place, left), place, left))
+        chunk, end = decode(_checked(_bundle(place, left), place, left)), 0
         needed += 2 * sum(leaf.nbytes for leaf in jax.tree.leaves(chunk))
         check_allocation(folder, needed, max_bytes)
-        parts += _rows(chunk, rows, place)
+        for start, count in sorted(rows):
+            stop = len(chunk) if count is None else start + count
+            if not end <= start <= stop <= len(chunk):
+                raise ValueError(f"{place.name} has no rows {start} to {stop}, or two nodes have")
+            end = stop
+            parts.append(chunk.take(slice(start, stop)))
     if not parts:
         raise ValueError("no Gaussians of level 0")
     return concatenate(parts)
-
-
-def _rows(chunk: Gaussians, places: list[Any], folder: Path) -> Iterator[Gaussians]:
-    """The rows of each place, an offset and a count, of which None is all of the rest."""
-    end = 0
-    for start, count in sorted(places):
-        stop = len(chunk) if count is None else start + count
-        if not end <= start <= stop <= len(chunk):
-            raise ValueError(f"{folder.name} has no rows {start} to {stop}, or two nodes have")
-        end = stop
-        yield chunk.take(np.s_[start:stop])
 
 
 def _chunk(folder: Path, name: str) -> Path:

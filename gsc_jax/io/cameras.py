@@ -40,7 +40,19 @@ def load_cameras(path: str | Path, *, max_bytes: int | None = None) -> list[Came
             its pose not rigid, or two cameras have the same name.
     """
     source = _find(Path(path))
-    return _checked(_read(source, max_bytes), source)
+    if source.is_dir():
+        return _checked(read_colmap(source, max_bytes=max_bytes), source)
+    data = None
+    if source.suffix.lower() == ".json":
+        data = read_table(source, remedy="export the cameras again", max_bytes=max_bytes)
+    if isinstance(data, list):
+        return _checked(read_inria(data, source), source)
+    if isinstance(data, dict) and "frames" in data:
+        return _checked(read_transforms(data, source), source)
+    raise InputError(
+        f"{source}: expected a cameras.json (a list of cameras), a transforms.json (with frames) "
+        "or a COLMAP model; name one of these"
+    )
 
 
 def save_cameras(path: str | Path, cameras: Sequence[Camera]) -> None:
@@ -89,22 +101,6 @@ def _find(path: Path) -> Path:
         none = "no cameras.json, transforms.json or COLMAP model (sparse/0); name where it is"
         raise InputError(f"{path}: holds {several if found else none}")
     return found[0]
-
-
-def _read(source: Path, max_bytes: int | None) -> list[Camera]:
-    if source.is_dir():
-        return read_colmap(source, max_bytes=max_bytes)
-    data = None
-    if source.suffix.lower() == ".json":
-        data = read_table(source, remedy="export the cameras again", max_bytes=max_bytes)
-    if isinstance(data, list):
-        return read_inria(data, source)
-    if isinstance(data, dict) and "frames" in data:
-        return read_transforms(data, source)
-    raise InputError(
-        f"{source}: expected a cameras.json (a list of cameras), a transforms.json (with frames) "
-        "or a COLMAP model; name one of these"
-    )
 
 
 def _checked(cameras: list[Camera], source: str | Path) -> list[Camera]:

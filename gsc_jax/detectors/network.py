@@ -59,7 +59,12 @@ class Network:
         self._session = open_session(path, providers=providers, threads=threads)
         self.providers = self._session.get_providers()
         self.inputs = self._session.get_inputs()
-        self.outputs = [self._find_output(key) for key in outputs]
+        computed = self._session.get_outputs()
+        known = {tensor.name: tensor for tensor in computed} | dict(enumerate(computed))
+        if missing := [key for key in outputs if key not in known]:
+            names = ", ".join(tensor.name for tensor in computed)
+            raise InputError(f"{path}: has no output {missing[0]!r}, expected one of {names}")
+        self.outputs = [known[key] for key in outputs]
         self.sides: dict[str, int] = {}
         if len(self.inputs) != len(inputs):
             found = ", ".join(tensor.name for tensor in self.inputs)
@@ -68,9 +73,9 @@ class Network:
                 f"{path}: has {len(self.inputs)} inputs ({found}), expected {len(inputs)} "
                 f"({expected}); export it with these, in this order"
             )
-        self._tensors = (*self.inputs, *self.outputs)
-        self._specs = (*inputs, *outputs.values())
-        for tensor, spec in zip(self._tensors, self._specs, strict=True):
+        tensors, specs = (*self.inputs, *self.outputs), (*inputs, *outputs.values())
+        self._checks = list(zip(tensors, specs, strict=True))
+        for tensor, spec in self._checks:
             # onnxruntime returns an empty shape if the model declares none.
             self._check(tensor, tensor.shape or spec.shape or (), spec, self.sides)
 
@@ -87,18 +92,9 @@ class Network:
             found = self._session.run([tensor.name for tensor in self.outputs], feed)
         outputs = [np.asarray(array, np.float32) for array in found]
         sides = dict(self.sides)
-        checked = zip(self._tensors, (*arrays, *outputs), self._specs, strict=True)
-        for tensor, array, spec in checked:
+        for (tensor, spec), array in zip(self._checks, (*arrays, *outputs), strict=True):
             self._check(tensor, array.shape, spec, sides)
         return outputs
-
-    def _find_output(self, key: int | str):
-        outputs = self._session.get_outputs()
-        for position, tensor in enumerate(outputs):
-            if key in (position, tensor.name):
-                return tensor
-        names = ", ".join(tensor.name for tensor in outputs)
-        raise InputError(f"{self.path}: has no output {key!r}, expected one of {names}")
 
     def _check(self, tensor, shape: Shape, spec: TensorSpec, sides: dict[str, int]) -> None:
         """Compare a tensor with its spec, and add the lengths of its named sides to `sides`."""

@@ -21,6 +21,7 @@ def collection_page(rows: Sequence[Row]) -> str:
     """
     probabilities = [p for row in rows if (p := row["scene_probability"]) is not None]
     outcomes = Counter(map(outcome, probabilities))
+    data = [[*(_shown(row, n) for n in SHOWN), outcome(row["scene_probability"])] for row in rows]
     names = "evidence", "inconclusive", "none"
     bins = Counter(min(int(10 * probability), 9) for probability in probabilities)
     return complete_page(
@@ -33,10 +34,7 @@ def collection_page(rows: Sequence[Row]) -> str:
         bins=[bins[index] for index in range(10)],
         errors=Counter(row["error_class"] for row in rows if row["error_class"]).most_common(),
         traces=Counter(name for row in rows for name in row["traces"] or ()).most_common(),
-        data=[
-            [*(_shown(row, name) for name in SHOWN), outcome(row["scene_probability"])]
-            for row in rows
-        ],
+        data=data,
     )
 
 

@@ -107,7 +107,13 @@ class SceneWorker:
             except Exception as error:  # missing, unreadable, or an address without an answer
                 row |= _failure(error, entry, type(error).__name__)
             else:
-                row |= self._claimed(row, places)
+                claim = self._ray.get(self._ledger.claim.remote(row["key"], row["id"]))
+                if claim.owner is None:
+                    row |= self._judged(row, places, claim.attempt)
+                elif claim.owner == row["id"]:
+                    row["status"] = "finished"
+                else:
+                    row |= {"status": "duplicate", "duplicate_of": claim.owner}
         row = complete(jsonable(row))
         if self._settings.out is not None and row["status"] != "finished":
             write_row(self._settings.out, row)
@@ -123,15 +129,6 @@ class SceneWorker:
             return dict(zip(PLACES, places, strict=True))
         finally:
             pool.shutdown(wait=False)
-
-    def _claimed(self, row: Row, places: dict[str, Path | None]) -> Row:
-        """Judge a scene, unless it or a copy was or is being judged."""
-        claim = self._ray.get(self._ledger.claim.remote(row["key"], row["id"]))
-        if claim.owner is None:
-            return self._judged(row, places, claim.attempt)
-        if claim.owner == row["id"]:
-            return {"status": "finished"}
-        return {"status": "duplicate", "duplicate_of": claim.owner}
 
     def _judged(self, row: Row, places: dict[str, Path | None], first: int) -> Row:
         """Judge a scene as often as allowed, and name it in errors as the manifest does."""
@@ -171,12 +168,10 @@ class SceneWorker:
 
 
 class _Judge:
-    """Judges scenes on given cores, and stores compiled code in a folder if there is one.
-
-    The set of cores bounds the pool of onnxruntime, and `OMP_NUM_THREADS` of Ray those of NumPy.
-    """
+    """Judges scenes on given cores, and stores compiled code in a folder if there is one."""
 
     def __init__(self, cores: Sequence[int], cache: Path | None) -> None:
+        # The set of cores bounds the pool of onnxruntime, and `OMP_NUM_THREADS` those of NumPy.
         if hasattr(os, "sched_setaffinity"):  # Linux
             os.sched_setaffinity(0, cores)
         compute_in_calling_thread()

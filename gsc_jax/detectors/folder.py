@@ -164,7 +164,6 @@ def _image_files(folder: Path) -> list[str]:
 
 def _without_suffixes(name: str) -> str:
     """Name without its image suffixes; other dots stay."""
-    stem, dot, suffix = name.rpartition(".")
-    if dot and f".{suffix.lower()}" in masks.IMAGE_SUFFIXES:
-        return _without_suffixes(stem)
+    while name.lower().endswith(masks.IMAGE_SUFFIXES):
+        name = name.rpartition(".")[0]
     return name

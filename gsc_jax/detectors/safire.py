@@ -103,11 +103,10 @@ class SafireDetector(network.NetworkDetector):
         return encoder + fingerprint(self.decoder, self._decoder.providers)
 
 
-def _model_files(folder_or_encoder: Path, decoder: str | Path | None) -> tuple[Path, Path]:
+def _model_files(folder: Path, decoder: str | Path | None) -> tuple[Path, Path]:
     """Paths of encoder and decoder; given files are checked when they are loaded."""
-    if decoder is not None:
-        return folder_or_encoder, Path(decoder)
-    folder = folder_or_encoder
+    if decoder is not None:  # then the other path is the encoder
+        return folder, Path(decoder)
     if missing := [name for name in FILES if not (folder / name).is_file()]:
         found = f"holds no {' and no '.join(missing)}" if folder.is_dir() else "is not a folder"
         raise InputError(

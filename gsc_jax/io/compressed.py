@@ -123,5 +123,4 @@ def from_gsply(data: Any) -> Gaussians:
 
 def _conversion(path: Path) -> str:
     inside = [f"{path.name}/{name}" for name in (INDEX, META) if (path / name).is_file()]
-    name = next(iter(inside), path.name)
-    return f"convert it: npx @playcanvas/splat-transform {name} scene.ply"
+    return f"convert it: npx @playcanvas/splat-transform {[*inside, path.name][0]} scene.ply"

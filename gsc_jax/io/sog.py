@@ -66,9 +66,10 @@ def _read_streamed(
     parts, needed = [], 0
     for place, rows in ranges.items():
         left = None if max_bytes is None else max_bytes - needed
-        chunk, end = decode(_checked(_bundle(place, left), place, left)), 0
+        chunk = decode(_checked(_bundle(place, left), place, left))
         needed += 2 * sum(leaf.nbytes for leaf in jax.tree.leaves(chunk))
         check_allocation(folder, needed, max_bytes)
+        end = 0
         for start, count in sorted(rows):
             stop = len(chunk) if count is None else start + count
             if not end <= start <= stop <= len(chunk):

@@ -22,7 +22,6 @@ def collection_page(rows: Sequence[Row]) -> str:
     probabilities = [p for row in rows if (p := row["scene_probability"]) is not None]
     outcomes = Counter(map(outcome, probabilities))
     data = [[*(_shown(row, n) for n in SHOWN), outcome(row["scene_probability"])] for row in rows]
-    names = "evidence", "inconclusive", "none"
     bins = Counter(min(int(10 * probability), 9) for probability in probabilities)
     return complete_page(
         "gsc_jax.collection",
@@ -30,7 +29,7 @@ def collection_page(rows: Sequence[Row]) -> str:
         mark=MARK,
         count=len(rows),
         edited=outcomes["evidence"],
-        outcomes=[(f"outcome:{name}", outcomes[name]) for name in names],
+        outcomes=[(f"outcome:{x}", outcomes[x]) for x in ("evidence", "inconclusive", "none")],
         bins=[bins[index] for index in range(10)],
         errors=Counter(row["error_class"] for row in rows if row["error_class"]).most_common(),
         traces=Counter(name for row in rows for name in row["traces"] or ()).most_common(),

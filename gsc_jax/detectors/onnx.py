@@ -117,10 +117,8 @@ class OnnxDetector(NetworkDetector):
         if self.spec.activation == "softmax" and count < 2:
             raise InputError(f"{found}: a softmax needs two channels; change activation")
         if count != 1 if channel is None else channel >= count:
-            raise InputError(
-                f"{found}: it has {count} channels, and channel is {channel} in the spec; change "
-                "channel, output or layout"
-            )
+            text = f"it has {count} channels, and channel is {channel} in the spec"
+            raise InputError(f"{found}: {text}; change channel, output or layout")
 
     def _target(self, height: int, width: int) -> Size:
         """Input size of the network for an image of this size."""

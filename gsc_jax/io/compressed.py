@@ -61,10 +61,8 @@ def _gsply(path: Path) -> Any:
     try:
         return importlib.import_module("gsply")
     except ImportError as error:
-        raise InputError(
-            f"{path}: compressed scenes need gsply: pip install 'gsc_jax[formats]', "
-            f"or {_conversion(path)}"
-        ) from error
+        remedy = f"pip install 'gsc_jax[formats]', or {_conversion(path)}"
+        raise InputError(f"{path}: compressed scenes need gsply: {remedy}") from error
 
 
 def is_compressed_ply(ply: PlyData, path: Path) -> bool:

@@ -185,10 +185,8 @@ def _parse(path: Path, max_bytes: int | None) -> PlyData:
                 ply = _read(path, header)
         except PlyElementParseError as error:
             promised = f"; its header promises {error.element.count}" if error.element else ""
-            reason = brief(error) + promised
-            raise InputError(
-                f"{path}: damaged or cut short ({reason}); copy or export the file again"
-            ) from error
+            found = f"damaged or cut short ({brief(error)}{promised})"
+            raise InputError(f"{path}: {found}; copy or export the file again") from error
     for element in ply.elements:
         # plyfile maps the file into memory; a copy stays valid when the file changes.
         element.data = np.array(element.data)
@@ -246,9 +244,8 @@ def _scene(ply: PlyData, path: Path) -> PlyScene:
     gaussians = stored if keep.all() else stored.take(rows)
     scene = PlyScene(gaussians=gaussians, rows=rows, ply=ply, dropped=dropped)
     if not len(rows):
-        raise InputError(
-            f"{path}: no Gaussian can be rendered: {scene.dropped_summary}; export the scene again"
-        )
+        found = f"no Gaussian can be rendered: {scene.dropped_summary}"
+        raise InputError(f"{path}: {found}; export the scene again")
     return scene
 
 

@@ -23,11 +23,9 @@ from gsc_jax.scene.gaussians import concatenate
 META, INDEX = "meta.json", "lod-meta.json"
 BYTES_PER_PIXEL = 80
 """Memory per pixel of the images of a SOG: the pixels, and the Gaussian that they describe."""
-TABLES = {
-    "scales": {"codebook": 256, "mins": 3, "maxs": 3},
-    "sh0": {"codebook": 256, "mins": 4, "maxs": 4},
-    "shN": {"codebook": 256},
-}
+TABLES = {("scales", "codebook"): 256, ("scales", "mins"): 3, ("scales", "maxs"): 3}
+TABLES |= {("sh0", "codebook"): 256, ("sh0", "mins"): 4, ("sh0", "maxs"): 4}
+TABLES |= {("shN", "codebook"): 256}
 """Lengths of tables in the meta.json of a SOG, of version 2 and of the one before."""
 
 
@@ -119,10 +117,9 @@ def _checked(data: bytes, path: Path, max_bytes: int | None) -> bytes:
         check_allocation(path, needed, max_bytes)
         meta = json.loads(archive.read(META))
     # gsply reads tables of these lengths without a check.
-    for attribute, lengths in TABLES.items():
-        for table, length in lengths.items():
-            if (found := len(meta.get(attribute, {}).get(table, range(length)))) != length:
-                raise ValueError(f"{attribute}.{table} has {found} entries, expected {length}")
+    for (attribute, table), length in TABLES.items():
+        if (found := len(meta.get(attribute, {}).get(table, range(length)))) != length:
+            raise ValueError(f"{attribute}.{table} has {found} entries, expected {length}")
     if not meta.get("count", 1) > 0:
         raise ValueError("no Gaussians")
     return data

@@ -100,9 +100,8 @@ def _image_size(folder: Path, name: str) -> tuple[int, int]:
             if path.resolve().is_relative_to(folder.resolve()) and path.is_file():
                 with open_image(path) as image:
                     return image.size
-    raise ValueError(
-        f"lacks 'w' and 'h', and {shown(str(stem))} is not an image inside {folder}; add them"
-    )
+    found = f"{shown(str(stem))} is not an image inside {folder}"
+    raise ValueError(f"lacks 'w' and 'h', and {found}; add them")
 
 
 def _focal(length: float | None, angle: float | None, pixels: int) -> float:

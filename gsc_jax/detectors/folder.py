@@ -41,8 +41,23 @@ class FolderDetector:
         """
         self.path = Path(path)
         self._limit = max_bytes
-        self._files = _image_files(self.path)
         self._dim: set[str] = set()
+        if not self.path.is_dir():
+            found = "is a file" if self.path.exists() else "does not exist"
+            raise InputError(f"{self.path}: {found}, expected a folder with a mask per camera")
+        inside = (file.relative_to(self.path) for file in self.path.rglob("*"))
+        self._files = sorted(
+            file.as_posix()
+            for file in inside
+            if file.suffix.lower() in masks.IMAGE_SUFFIXES
+            and (self.path / file).is_file()
+            and not any(part.startswith((".", "__MACOSX")) for part in file.parts)  # hidden
+        )
+        if not self._files:
+            raise InputError(
+                f"{self.path}: contains no images, expected a mask per camera "
+                f"({', '.join(masks.IMAGE_SUFFIXES)}); name the folder that holds them"
+            )
         self._index: dict[tuple[str, str], list[str]] = defaultdict(list)
         for file in self._files:
             stem = file.rpartition(".")[0]
@@ -68,10 +83,8 @@ class FolderDetector:
         InputError if the camera has no mask, or the file is not a mask or has another aspect.
         """
         if (match := self._best_match(camera.name)) is None:
-            raise InputError(
-                f"{self.path}: no mask for camera {camera.name!r}, expected "
-                f"{camera.name + '.png'!r}"
-            )
+            file = f"{camera.name}.png"
+            raise InputError(f"{self.path}: no mask for camera {camera.name!r}, expected {file!r}")
         path = self.path / match[1]
         probability = masks.read_probability(path, zero_one=self.zero_one, max_bytes=self._limit)
         high = probability.max()  # level 1 of 255 may be a map without anything tampered
@@ -140,26 +153,6 @@ class FolderDetector:
             if files:
                 return rank, files[0]
         return None
-
-
-def _image_files(folder: Path) -> list[str]:
-    """Relative paths of all images below a folder, with slashes, sorted, without hidden files."""
-    if not folder.is_dir():
-        found = "is a file" if folder.exists() else "does not exist"
-        raise InputError(f"{folder}: {found}, expected a folder with a mask per camera")
-    images = sorted(
-        path.relative_to(folder).as_posix()
-        for path in folder.rglob("*")
-        if path.suffix.lower() in masks.IMAGE_SUFFIXES
-        and path.is_file()
-        and not any(part.startswith((".", "__MACOSX")) for part in path.relative_to(folder).parts)
-    )
-    if not images:
-        raise InputError(
-            f"{folder}: contains no images, expected a mask per camera "
-            f"({', '.join(masks.IMAGE_SUFFIXES)}); name the folder that holds them"
-        )
-    return images
 
 
 def _without_suffixes(name: str) -> str:

@@ -54,10 +54,8 @@ class FolderDetector:
             and not any(part.startswith((".", "__MACOSX")) for part in file.parts)  # hidden
         )
         if not self._files:
-            raise InputError(
-                f"{self.path}: contains no images, expected a mask per camera "
-                f"({', '.join(masks.IMAGE_SUFFIXES)}); name the folder that holds them"
-            )
+            found = f"no images, expected a mask per camera ({', '.join(masks.IMAGE_SUFFIXES)})"
+            raise InputError(f"{self.path}: contains {found}; name the folder that holds them")
         self._index: dict[tuple[str, str], list[str]] = defaultdict(list)
         for file in self._files:
             stem = file.rpartition(".")[0]

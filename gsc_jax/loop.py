@@ -21,6 +21,8 @@ from gsc_jax.scene import Array
 from gsc_jax.scene.pytree import STATIC
 from gsc_jax.splat import composite
 
+Seen = Evidence | tuple[View, Array]
+"""What a view tells of the attribute: its evidence, or how to render it, and its mask (H, W)."""
 MAX_WEIGHT = 1e6
 """Largest weight and learning rate. Adam squares gradients, which are at most the weights times the
 number of pixels; up to here the squares stay finite in float32."""
@@ -147,8 +149,7 @@ def fit(
     Returns:
         The attribute, shape (N,), and the info of all iterations.
     """
-    config, attributes = resolved(config, len(order)), jnp.asarray(attributes)
-    return _iterate(lambda s, j: _evidence_step(s, evidence.view(j), attributes, config), r, order)
+    return _iterate(evidence.view, r, attributes, order, config)
 
 
 def fit_rendered(
@@ -163,33 +164,28 @@ def fit_rendered(
 
     `view_of` gives a view and its mask (H, W) in each iteration, so that one is in memory.
     """
-    config, attributes = resolved(config, len(order)), jnp.asarray(attributes)
-    return _iterate(lambda s, j: _rendered_step(s, *view_of(j), attributes, config), r, order)
+    return _iterate(view_of, r, attributes, order, config)
 
 
 def _iterate(
-    one_step: Callable[[State, int], tuple[State, StepInfo]], r: Array, order: Array
+    seen_in: Callable[[int], Seen], r: Array, attributes: Array, order: Array, config: LoopConfig
 ) -> tuple[jax.Array, StepInfo]:
+    config, attributes = resolved(config, len(order)), jnp.asarray(attributes)
     state, infos = init(r), []
     for index in np.asarray(order).tolist():
-        state, info = one_step(state, index)
+        state, info = _step(state, seen_in(index), attributes, config)
         infos.append(info)
     return state.r, jax.tree.map(lambda *leaves: jnp.stack(leaves), *infos)
 
 
 @jax.jit
-def _evidence_step(state: State, evidence: Evidence, attributes: Array, config: LoopConfig):
+def _step(state: State, seen: Seen, attributes: Array, config: LoopConfig):
     def view_loss(r):
-        return loss_2d_from_evidence(r, evidence, lambda1=config.lambda1, lambda2=config.lambda2)
-
-    return step(state, view_loss, attributes, config=config)
-
-
-@jax.jit
-def _rendered_step(state: State, view: View, mask: Array, attributes: Array, config: LoopConfig):
-    def view_loss(r):
-        rendered = composite(view, r[:, None])[..., 0]  # M^R of eq. 9
-        return loss_2d(rendered, mask, lambda1=config.lambda1, lambda2=config.lambda2)
+        weights = {"lambda1": config.lambda1, "lambda2": config.lambda2}
+        if isinstance(seen, Evidence):
+            return loss_2d_from_evidence(r, seen, **weights)
+        view, mask = seen
+        return loss_2d(composite(view, r[:, None])[..., 0], mask, **weights)  # of M^R in eq. 9
 
     return step(state, view_loss, attributes, config=config)
 

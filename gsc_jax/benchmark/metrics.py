@@ -64,10 +64,7 @@ class Scores:
 
 
 def confusion(prediction: Array, truth: Array) -> Confusion:
-    """Count the four outcomes.
-
-    Both are bool, or numbers that count as true where > 0.5; different shapes raise ValueError.
-    """
+    """Count outcomes of bools, or of numbers, true where > 0.5; ValueError for different shapes."""
     flagged, tampered = _binary(prediction), _binary(truth)
     if flagged.shape != tampered.shape:
         raise ValueError(f"prediction has shape {flagged.shape}, but truth {tampered.shape}")

@@ -62,11 +62,7 @@ class Hole:
 
     @property
     def cost(self) -> float:
-        """Difficulty of filling: low for smooth ground on all sides and a flat region.
-
-        The sum of the mean height around (in units of `MAX_HEIGHT`, at most 1), half of the mean
-        height within, and the share of the sectors without ground.
-        """
+        """Difficulty of filling: low for smooth ground on all sides and a flat region."""
         around, within = (np.minimum(abs(x[:, 2]) / MAX_HEIGHT, 1) for x in (self.ring, self.rows))
         radii, angles = _polar(self.ring)
         near = radii < MAX_SOURCE_DISTANCE * _edge_radius(self.rows, angles)

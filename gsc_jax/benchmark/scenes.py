@@ -55,10 +55,7 @@ def make_object(*, seed: int = 0, count: int = 5_000) -> Gaussians:
 def room_cameras(
     n: int, *, width: int = 480, height: int = 360, seed: int = 0, prefix: str = "room"
 ) -> list[Camera]:
-    """Make n hand-held cameras on a walk around the table, named `room_000` and so on.
-
-    Every eighth looks along the wall. Width and height are in pixels.
-    """
+    """Make n hand-held cameras around the table, `room_000` etc.; every eighth looks aside."""
     rng = np.random.default_rng([seed, 2])
     turns = 2 * np.pi * (np.arange(n) + rng.random() + rng.uniform(-0.3, 0.3, n)) / max(n, 1)
     K = intrinsics(0.75 * width, width, height)
@@ -81,10 +78,7 @@ def tampered_room(
     width: int = 480,
     height: int = 360,
 ) -> MadeScene:
-    """Make the room with the object, a tenth of all `count` Gaussians, on its table.
-
-    There are `views` cameras for the estimator, and `heldout` other ones for the metrics.
-    """
+    """Make the room with the object, a tenth of all `count` Gaussians, on its table."""
     foreign = count // 10
     room = make_room(seed=seed, count=count - foreign)
     pasted = make_object(seed=seed, count=foreign)

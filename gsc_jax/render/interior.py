@@ -60,10 +60,7 @@ def moved_indoors(
 
 
 def surface_finder(gaussians: Gaussians) -> Callable[[np.ndarray, np.ndarray], float]:
-    """Function from the origin and the direction of a ray, (3,), to the distance of a surface.
-
-    Infinite where there is none. Rows that cannot be rendered must not be among the Gaussians.
-    """
+    """Function from origin and direction of a ray, (3,), to its distance to a surface, or inf."""
     log_scales = np.maximum(np.asarray(gaussians.log_scales, np.float64), MIN_LOG_SCALE)
     opacities = np.asarray(gaussians.opacities, np.float64)
     size = np.log(np.maximum(opacities, 1e-9)) + np.sort(log_scales, axis=1)[:, 1:].sum(axis=1)

@@ -40,10 +40,7 @@ def exp_of_visible(x: jax.Array) -> jax.Array:
 
 
 def alpha_at(splat: jax.Array, pixel: jax.Array) -> jax.Array:
-    """Compute alpha = min(0.99, o exp(-sigma)), or 0 below 1/255, of a splat at a pixel (2,).
-
-    The splat has shape (6,): mean x y, whitening a b c, and log opacity.
-    """
+    """Compute alpha = min(0.99, o exp(-sigma)), 0 below 1/255, of a splat (6,) at a pixel (2,)."""
     dx, dy = pixel[0] - splat[0], pixel[1] - splat[1]
     sigma = (splat[2] * dx + splat[3] * dy) ** 2 + (splat[4] * dy) ** 2
     log_alpha = splat[5] - sigma

@@ -146,19 +146,17 @@ def _shelf(rng: np.random.Generator) -> list[Part]:
 
 
 def _pictures() -> list[Part]:
+    """Canvases 0.1 m deep, which the coarse Gaussians of the walls do not reach through."""
     back, side = DEPTH / 2, WIDTH / 2
-    return [
-        *_picture("astronaut.png", (-0.9, -1.1, -back), -FRONT, 0.8, 0.8),
-        *_picture("rocket.jpg", (0.5, -1.15, -back), -FRONT, 1.0, 0.67),
-        *_picture("chelsea.png", (side, -1.3, 0.2), -RIGHT, 0.9, 0.6),
-        *_picture("coffee.png", (-side, -1.15, 0.0), RIGHT, 1.2, 0.8),
-        *_picture("camera.png", (1.5, -1.1, back), FRONT, 0.7, 0.7),
+    hung = [
+        ("astronaut.png", (-0.9, -1.1, -back), -FRONT, (0.8, 0.8, 0.1)),
+        ("rocket.jpg", (0.5, -1.15, -back), -FRONT, (1.0, 0.67, 0.1)),
+        ("chelsea.png", (side, -1.3, 0.2), -RIGHT, (0.1, 0.6, 0.9)),
+        ("coffee.png", (-side, -1.15, 0.0), RIGHT, (0.1, 0.8, 1.2)),
+        ("camera.png", (1.5, -1.1, back), FRONT, (0.7, 0.7, 0.1)),
     ]
-
-
-def _picture(
-    image: str, foot: tuple[float, float, float], normal: np.ndarray, width: float, height: float
-) -> list[Part]:
-    """Canvas 0.1 m deep, which the coarse Gaussians of the wall do not reach through."""
-    size = (width, height, 0.1) if normal[2] else (0.1, height, width)
-    return _parts(box(foot + 0.05 * normal, *size), Texture(image), 8.0)
+    return [
+        part
+        for image, foot, normal, size in hung
+        for part in _parts(box(foot + 0.05 * normal, *size), Texture(image), 8.0)
+    ]

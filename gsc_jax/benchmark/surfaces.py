@@ -1,9 +1,7 @@
 """Gaussians on textured surfaces: quads, boxes and solids of revolution.
 
-A `Part` is a surface with a texture; `sample_parts` distributes a number of Gaussians over parts.
-They are flat, have sizes of about the spacing with a log-normal spread, are mostly opaque with a
-tail, and have a weak view dependence of colour; `TrainingStatistics` holds these distributions.
-Points form a golden lattice, which stays even for any aspect ratio. Metres, y down.
+`sample_parts` distributes Gaussians, with the distributions of `TrainingStatistics`, over a golden
+lattice on each `Part`, which stays even for any aspect ratio. Metres, y down.
 """
 
 import dataclasses

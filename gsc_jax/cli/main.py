@@ -79,7 +79,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         if any(not word or word[:2] + word[-1] == "--=" for word in argv if word != "--up="):
             raise InputError("an argument is empty; is a variable of the shell not set?")
         command = parse(argv)
-        _check_paths(command)
+        absent = contextlib.suppress(FileNotFoundError, NotADirectoryError, PermissionError)
+        for path in _paths(command):  # refuse those that no file can have, before they are used
+            with naming(path, errors=(ValueError, OSError), remedy="; give another path"), absent:
+                path.stat()
         _run(command)
     except InputError as error:
         return _refuse(f"{error}{_origin(command, argv, str(error))}")
@@ -214,14 +217,6 @@ def _is_given(error: OSError, command: Command | None) -> bool:
 def _paths(command: Command) -> list[Path]:
     given = [value if isinstance(value, tuple) else (value,) for value in vars(command).values()]
     return [value for values in given for value in values if isinstance(value, Path)]
-
-
-def _check_paths(command: Command) -> None:
-    """Refuse paths that no file can have, before they are used."""
-    absent = contextlib.suppress(FileNotFoundError, NotADirectoryError, PermissionError)
-    for path in _paths(command):
-        with naming(path, errors=(ValueError, OSError), remedy="; give another path"), absent:
-            path.stat()
 
 
 def _say(line: str) -> None:

@@ -53,13 +53,12 @@ def score_histogram(result: Result) -> Chart:
         axes.stairs(authentic, edges, color="C1", linestyle="--", label="others")
         axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.08), ncols=2, frameon=False)
         axes.axvline(threshold, color="0.5")
-        place = (threshold, 1.03)
-        axes.annotate("threshold", place, xycoords=("data", "axes fraction"), ha="center")
+        axes.text(threshold, 1.03, "threshold", transform=axes.get_xaxis_transform(), ha="center")
         axes.set_yscale("symlog", linthresh=1)
         axes.set(xlim=(0, 1), ylim=(0, None), xlabel="score", ylabel="Gaussians")
         figure.savefig(file, format="svg", transparent=True)
-    svg = file.getvalue()
-    svg = '<svg viewBox="0 0 316.8 216">' + svg[svg.index("<g ") :]  # 72 units are an inch
+    _, start, drawn = file.getvalue().partition("<g ")
+    svg = f'<svg viewBox="0 0 316.8 216">{start}{drawn}'  # 72 units are an inch
     for colour, name in zip(COLOURS, VARIABLES, strict=True):
         svg = svg.replace(colour, f"var(--{name})")
     above = int((scores > threshold).sum())

@@ -70,9 +70,6 @@ def data_uri(path: Path, side: int) -> str:
             small = image.convert("RGB" if lossy else "L")
     small.thumbnail((side, side), Image.Resampling.BOX)
     file = io.BytesIO()
-    if lossy:
-        small.save(file, "JPEG", quality=76, optimize=True)
-    else:
-        small.quantize(GREY_LEVELS).save(file, "PNG", optimize=True)
-    text = base64.b64encode(file.getvalue()).decode()
-    return f"data:image/{'jpeg' if lossy else 'png'};base64,{text}"
+    kind, picture = ("jpeg", small) if lossy else ("png", small.quantize(GREY_LEVELS))
+    picture.save(file, kind, quality=76, optimize=True)  # PNG has no quality
+    return f"data:image/{kind};base64,{base64.b64encode(file.getvalue()).decode()}"

@@ -124,8 +124,7 @@ def conflict(report: Mapping[str, Any]) -> str | None:
 
 def differences(shares: Mapping[str, float]) -> str | None:
     """State the three largest `contrasts` of labelled Gaussians; None if none is large."""
-    shares = {name: share for name, share in shares.items() if name in CONTRASTS}
-    found = {CONTRASTS[name][s < 0.5]: max(s, 1 - s) for name, s in shares.items()}
+    found = {CONTRASTS[k][s < 0.5]: max(s, 1 - s) for k, s in shares.items() if k in CONTRASTS}
     largest = sorted(found, key=found.__getitem__, reverse=True)[:3]
     stated = [f"{word} in {percent(found[word])}" for word in largest if found[word] > MIN_CONTRAST]
     if not stated:
@@ -178,9 +177,8 @@ def summary(report: Mapping[str, Any], out: Path) -> list[str]:
             f"{headline(verdict, report['counts']['tampered'])} {findings[0]}",
             f"edited   {percent(verdict)} (scene probability{alone}). {explained(report)}",
         ]
-    seconds = {name: stage["seconds"] for name, stage in report["stages"].items()}
-    slowest = sorted(seconds, key=seconds.__getitem__, reverse=True)[:3]
-    times = ", ".join(f"{name} {seconds[name]:.1f} s" for name in slowest)
+    seconds = Counter({name: stage["seconds"] for name, stage in report["stages"].items()})
+    times = ", ".join(f"{name} {most:.1f} s" for name, most in seconds.most_common(3))
     beside, views = differences(report["contrasts"]), views_sentence(report)
     counts = Counter(view["reliability"] for view in report["per_view"])
     kinds = [f"{counts[key]} {name}" for key, (_, name, _) in RELIABILITY.items() if counts[key]]

@@ -89,10 +89,7 @@ def _by_gaussian(results: Results, truth: Path) -> dict[str, Any]:
 
 
 def _by_view(results: Results, masks: Path, limit: int, warnings: list[str]) -> dict[str, Any]:
-    """Scores of the final masks and of the masks of the detector, and the truth's tampered shares.
-
-    `found_where_judged` has the scores of the final masks on the views of the detector.
-    """
+    """Tampered shares of the truth, scores of the final masks and of the masks of the detector."""
     views, truth = results.cameras, FolderDetector(masks, max_bytes=limit)
     chosen = truth.select(views)
     if missing := len(views) - len(chosen):

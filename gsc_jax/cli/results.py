@@ -31,9 +31,7 @@ class _View(BaseModel):
     height: Count
 
 
-class _Config(BaseModel):
-    """The ranges are those of the estimators."""
-
+class _Config(BaseModel):  # the ranges are those of the estimators
     threshold: Annotated[float, Field(ge=0, lt=1)]
     near: Annotated[float, Field(ge=1e-9, le=1e9)]
 
@@ -47,9 +45,7 @@ class _Attributes(BaseModel):
     traces: dict[str, str] = {}
 
 
-class _Report(BaseModel):
-    """The entries of result.json that are read again; it has others, too."""
-
+class _Report(BaseModel):  # the entries of result.json that are read again; it has others, too
     config: _Config
     counts: _Counts
     per_view: list[_View]

@@ -77,9 +77,9 @@ def read_config_file(path: str | Path) -> ConfigFile:
     command.pop("config", None)  # its content is in the table `config`
     method = _method(path, command, tables.get("config", {}))
     base = METHODS[method]
-    fields = ", ".join(field.name for field in dataclasses.fields(typing.cast(Any, base)))
-    hint = f"fields of the method {method}: {fields}"
-    config = _checked(_model(type(base)), tables.get("config", {}), f"{path}: config", hint=hint)
+    fields = _model(type(base))
+    hint = f"fields of the method {method}: {', '.join(fields.model_fields)}"
+    config = _checked(fields, tables.get("config", {}), f"{path}: config", hint=hint)
     if command.get("all_views") or command.get("views"):
         if config.get("tolerance"):
             raise InputError(f"{path}: config.tolerance and a number of views exclude each other")
@@ -95,10 +95,9 @@ def read_config_file(path: str | Path) -> ConfigFile:
 @functools.cache
 def _model(kind: type) -> type[pydantic.BaseModel]:
     """A model with the fields of a dataclass, all of them optional."""
-    hints, fields = typing.get_type_hints(kind), {}
-    for field in dataclasses.fields(kind):
-        hint = hints[field.name]
-        fields[field.name] = (_model(hint) if dataclasses.is_dataclass(hint) else hint, None)
+    hints = typing.get_type_hints(kind)
+    kinds = {field.name: hints[field.name] for field in dataclasses.fields(kind)}
+    fields = {k: (_model(x) if dataclasses.is_dataclass(x) else x, None) for k, x in kinds.items()}
     return pydantic.create_model(kind.__name__, __config__=STRICT, **fields)
 
 

@@ -96,8 +96,8 @@ def read_config_file(path: str | Path) -> ConfigFile:
 def _model(kind: type) -> type[pydantic.BaseModel]:
     """A model with the fields of a dataclass, all of them optional."""
     hints = typing.get_type_hints(kind)
-    kinds = {field.name: hints[field.name] for field in dataclasses.fields(kind)}
-    fields = {k: (_model(x) if dataclasses.is_dataclass(x) else x, None) for k, x in kinds.items()}
+    kinds = [(field.name, hints[field.name]) for field in dataclasses.fields(kind)]
+    fields: Table = {k: (_model(x) if dataclasses.is_dataclass(x) else x, None) for k, x in kinds}
     return pydantic.create_model(kind.__name__, __config__=STRICT, **fields)
 
 

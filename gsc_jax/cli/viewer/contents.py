@@ -42,9 +42,9 @@ def pose(camera: Camera, means: Array, *, up: Array, near: float = NEAR) -> Pose
     visible = (z > near) & (abs(x) < half_width * z) & (abs(y) < half_height * z)
     depth = float(np.median(z[visible])) if visible.any() else 1.0
     level = np.asarray(up, np.float64) - (up @ right) * right
-    up = level / np.linalg.norm(level) if level @ -down > MIN_LEVEL else -down
+    upright = level / np.linalg.norm(level) if level @ -down > MIN_LEVEL else -down
     fov = 2 * float(np.arctan(half_height))
-    return Pose(camera.name, position, position + depth * forward, up, fov)
+    return Pose(camera.name, position, position + depth * forward, upright, fov)
 
 
 MAX_DEPTH_SAMPLES = 20_000

@@ -77,8 +77,9 @@ def smoothed_log_odds(features: Features, classifier: Classifier) -> np.ndarray:
     columns = slice(None) if same else [features.names.index(name) for name in classifier.names]
     parts = blocks(len(features.neighbourhoods.nearest), BLOCK)
     raw = [raw_log_odds(features.rows(part)[:, columns], classifier.networks) for part in parts]
-    raw = np.clip(np.concatenate(raw), -MAX_RAW_LOG_ODDS, MAX_RAW_LOG_ODDS)
-    smoothed = features.neighbourhoods.smooth(raw, SMOOTHING_STEPS)
+    smoothed = np.clip(np.concatenate(raw), -MAX_RAW_LOG_ODDS, MAX_RAW_LOG_ODDS)
+    for _ in range(SMOOTHING_STEPS):
+        smoothed = 0.5 * (smoothed + features.neighbourhoods.mean(smoothed))
     return np.maximum(smoothed, np.median(smoothed))
 
 

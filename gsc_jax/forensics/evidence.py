@@ -75,7 +75,11 @@ def forensic_evidence(
     computed = features.compute_features(sound) if enough else None
     with ThreadPoolExecutor(1) as beside:
         found = beside.submit(_traces, sound, computed, np.argsort(rows)) if with_traces else None
-        output = _classified(computed, np.asarray(sound.means, np.float32), classifier)
+        output = calibration.nothing_known(classifier)
+        if computed:
+            places = find_places(computed, np.asarray(sound.means, np.float32))
+            raw = combined_log_odds(computed, places, classifier)
+            output = sharpened(calibration.calibrate(raw, places, classifier), computed, places)
     place = np.full(len(host), -1)  # of each Gaussian of the file in the rows
     place[rows] = np.arange(len(rows))
     log_odds = np.append(output.log_odds, np.float32(classifier.base))[place]
@@ -85,16 +89,6 @@ def forensic_evidence(
         for trace in (found.result() if found else ())
     ]
     return combine(output, traces)
-
-
-def _classified(
-    computed: features.Features | None, means: np.ndarray, classifier: Classifier
-) -> Classification:
-    if not computed:
-        return calibration.nothing_known(classifier)
-    places = find_places(computed, means)
-    raw = combined_log_odds(computed, places, classifier)
-    return sharpened(calibration.calibrate(raw, places, classifier), computed, places)
 
 
 def _traces(sound: Gaussians, computed: features.Features | None, order: np.ndarray) -> list[Trace]:

@@ -121,19 +121,13 @@ def is_black(sh: Array) -> np.ndarray:
 
 
 def is_untrained(gaussians: Gaussians) -> np.ndarray:
-    """Gaussians that no view showed in training, shape (N,) bool.
-
-    They are as training starts (INRIA): spheres of opacity 0.1, which an opacity reset lowers.
-    """
+    """Gaussians that no view showed in training, still as at its start (INRIA), shape (N,) bool."""
     spheres = np.ptp(np.asarray(gaussians.log_scales), axis=1) == 0
     return spheres & (np.asarray(gaussians.opacities) < START_OPACITY)
 
 
 def sh_degree(gaussians: Gaussians, neighbours: np.ndarray) -> Trace:
-    """Detect spherical harmonics that end at another degree than those of most Gaussians.
-
-    A pasted object of a lower degree is padded with exact zeros.
-    """
+    """Detect harmonics that end at another degree than most: pasted ones are padded with zeros."""
     sh = np.asarray(gaussians.sh)
     degrees = np.zeros(len(sh), int)
     for degree in range(1, gaussians.sh_degree + 1):

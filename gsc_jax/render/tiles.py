@@ -120,15 +120,19 @@ def bin_view(
     lockstep = _tiles_in_group(lockstep, tiles)
     groups = -(-tiles // lockstep)
     groups = 1 << (groups - 1).bit_length() if groups <= FEW_GROUPS else bucket(groups)
+    longest, padded = np.argsort(-lists.counts, kind="stable").astype(np.int32), groups * lockstep
+    padding = (0, padded - tiles)
     size = 4 ** max(6, -(-(lists.total - 1).bit_length() // 2))  # few different ones
     return View(
         splats=table,
         ids=jnp.asarray(np.pad(lists.ids, (0, size - len(lists.ids)))),
+        tiles=jnp.asarray(np.pad(longest, padding, constant_values=padded)),
+        starts=jnp.asarray(np.pad(lists.starts[longest], padding)),
+        counts=jnp.asarray(np.pad(lists.counts[longest], padding)),
         columns=jnp.asarray(-(-camera.width // TILE), jnp.int32),
         width=camera.width,
         height=camera.height,
         lockstep=lockstep,
-        **_longest_first(lists.starts, lists.counts, groups * lockstep),
     )
 
 
@@ -139,17 +143,6 @@ def _tiles_in_group(lockstep: int | None, tiles: int) -> int:
         cpu = next((few for few in CPU_LOCKSTEPS if MIN_GROUPS * few <= tiles), CPU_LOCKSTEPS[-1])
         lockstep = cpu if jax.default_backend() == "cpu" else tiles
     return min(lockstep, tiles)
-
-
-def _longest_first(starts: np.ndarray, counts: np.ndarray, padded: int) -> dict[str, jax.Array]:
-    """Fields tiles, starts and counts of a view, from the lists in row-major order of the tiles."""
-    padding = (0, padded - len(counts))
-    order = np.argsort(-counts, kind="stable").astype(np.int32)
-    return {
-        "tiles": jnp.asarray(np.pad(order, padding, constant_values=padded)),
-        "starts": jnp.asarray(np.pad(starts[order], padding)),
-        "counts": jnp.asarray(np.pad(counts[order], padding)),
-    }
 
 
 @jax.jit

@@ -13,18 +13,12 @@ OBLIQUE = np.array([[1, 0.0123, 0.0071], [0.0071, 1, 0.0123], [0.0123, 0.0071, 1
 
 
 def order_of_leaves(points: np.ndarray) -> np.ndarray:
-    """Rows of finite points (N, D) such that those close in space are close in order, shape (N,).
-
-    Searches and means in this order are two to four times as fast: they reuse cached memory.
-    """
+    """Rows of points (N, D), those close in space together: searches and means reuse the cache."""
     return KDTree(points, balanced_tree=False).indices
 
 
 def nearest_neighbours(points: np.ndarray, rows: np.ndarray, count: int) -> np.ndarray:
-    """Find the nearest `count` < N other points of the rows (M,) of finite points (N, 3).
-
-    Returns indices into `points`, nearest first, shape (M, count) int32.
-    """
+    """The `count` < N others nearest to rows (M,) of points (N, 3), in order, (M, count) int32."""
     tree = KDTree(points, compact_nodes=False, balanced_tree=False)
 
     def nearest(some: np.ndarray) -> np.ndarray:
@@ -63,18 +57,9 @@ class Neighbourhoods:
         """Standard deviation over the neighbours of values with these means, shape (N, D)."""
         return np.sqrt(np.maximum(self.mean(values * values) - means * means, 0.0))
 
-    def smooth(self, values: np.ndarray, steps: int) -> np.ndarray:
-        """Average values (N,) repeatedly with the mean over the neighbours, shape (N,)."""
-        for _ in range(steps):
-            values = 0.5 * (values + self.mean(values))
-        return values
-
 
 def neighbourhoods(points: np.ndarray, k: int) -> tuple[Neighbourhoods, np.ndarray]:
-    """Find the k nearest neighbours of N > k finite points (N, 3), fastest in `order_of_leaves`.
-
-    Returns them, and the distances to them, shape (N, k) float32.
-    """
+    """The k nearest neighbours of N > k finite points (N, 3), and the distances to them, (N, k)."""
     tree, shape = KDTree(points, balanced_tree=False), (len(points), k)
     nearest, distances = np.empty(shape, np.int32), np.empty(shape, np.float32)
     for block in blocks(len(points)):  # SciPy's results take four times the memory

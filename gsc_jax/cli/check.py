@@ -193,6 +193,5 @@ def _bytes_after(path: Path, ply: PlyData) -> int:
 
 
 def _header(path: Path) -> bytes:
-    """The header of a PLY file, up to the line `end_header`."""
     with path.open("rb") as file:
         return file.read(MAX_HEADER_BYTES).partition(b"\nend_header")[0]

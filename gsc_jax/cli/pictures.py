@@ -46,10 +46,9 @@ def contact_sheet(
     from matplotlib.figure import Figure
 
     height, width = next(iter(rows.values()))[0].shape[:2]
-    size = CELL_INCHES * len(titles) + 0.2, CELL_INCHES * height / width * len(rows) + 0.25
-    figure = Figure(figsize=size, dpi=CELL_DPI)  # a layout engine would draw everything twice
-    edges = {"left": 0.2 / size[0], "right": 0.998, "bottom": 0.002, "top": 1 - 0.25 / size[1]}
-    figure.subplots_adjust(**edges, wspace=0.01, hspace=0.01)
+    wide, high = CELL_INCHES * len(titles) + 0.2, CELL_INCHES * height / width * len(rows) + 0.25
+    figure = Figure((wide, high), dpi=CELL_DPI)  # a layout engine would draw everything twice
+    figure.subplots_adjust(0.2 / wide, 0.002, 0.998, 1 - 0.25 / high, wspace=0.01, hspace=0.01)
     table = figure.subplots(len(rows), len(titles), squeeze=False)
     for axes_row, (label, pictures) in zip(table, rows.items(), strict=True):
         axes_row[0].set_ylabel(label, fontsize=8, parse_math=False)  # two "$" are no formula

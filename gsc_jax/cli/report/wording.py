@@ -10,7 +10,7 @@ from typing import Any
 
 from gsc_jax.estimators.protocol import Outcome, Reliability, outcome
 
-RELIABILITY: dict[Reliability, tuple[str, str, str]] = {
+RELIABILITY: dict[Reliability, tuple[str, str, str]] = {  # sign, name, explanation, best first
     "reliable": ("●", "reliable", "The mask flags most of what is labelled in the view."),
     "inverted": ("◇", "inverted", "The mask flags everything except the edit; it is inverted."),
     "uninformative": ("▽", "uninformative", "The mask does not flag most of what is labelled."),

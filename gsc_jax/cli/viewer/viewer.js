@@ -16,10 +16,9 @@ function withoutGraphicsCard() {
 
 async function becomeClient() {
   const software = withoutGraphicsCard();
-  if (software === null) {
-    document.body.append("This browser has no WebGL 2, so the scene cannot be shown; open report.html instead.");
-    return;
-  }
+  if (software === null)
+    return document.body.append(
+      "This browser has no WebGL 2, so the scene cannot be shown; open report.html instead.");
   const facts = json("facts"), client = json("client"), panel = document.getElementById("panel").content;
   const [scores, rows, scales] = await Promise.all(facts.arrays.map(decoded));
   const arrays = { scores: new Float32Array(scores), rows: new Uint32Array(rows), scales: new Float32Array(scales) };
@@ -124,10 +123,9 @@ class Panel {
     if (event.target !== canvas || !event.isPrimary) return;
     const box = canvas.getBoundingClientRect(), point = (e) => [e.clientX - box.left, e.clientY - box.top];
     const start = point(event);
-    if (drag === "turn") addEventListener("pointerup", (e) => {
+    if (drag === "turn") return addEventListener("pointerup", (e) => {
       if (Math.hypot(point(e)[0] - start[0], point(e)[1] - start[1]) < 3) this.describe(start);
     }, { once: true });
-    if (drag === "turn") return;
     event.stopImmediatePropagation(); // the camera stays
     event.preventDefault();
     const places = placesOf(this.original, __viserMutable, this.matrix()), marker = this.input("drawn");

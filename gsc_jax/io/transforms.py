@@ -65,7 +65,10 @@ def read_transforms(data: Mapping[str, Any], path: Path) -> list[Camera]:
 
 
 def _with_shared(frame: dict[str, Any], shared: Mapping[str, Any]) -> dict[str, Any]:
-    """A frame with what is shared, but for focal lengths: its own along x replaces both of them."""
+    """A frame with what all frames share.
+
+    Its own focal length or angle replaces those that are shared; one along x, those along y, too.
+    """
     frame = {key: value for key, value in frame.items() if value is not None}
     own = FOCAL_X | FOCAL_Y if FOCAL_X & frame.keys() else FOCAL_Y if FOCAL_Y & frame.keys() else ()
     return {**{key: value for key, value in shared.items() if key not in own}, **frame}

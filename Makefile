@@ -59,7 +59,7 @@ bench: $(VENV)/installed
 results: $(VENV)/installed-dev
 	$(BIN)/python experiments/captures.py
 	$(BIN)/python experiments/train_classifier.py --keep .cues --out .cues/all.npz
-	for name in published_fit published departures mask_checks heldout leave_out unseen beside_masks importance editing beyond calibration enough ablation robustness authentic parsimony stability speed_accuracy real_scenes; do \
+	for name in published_fit published departures mask_checks heldout leave_out unseen beside_masks importance editing beyond calibration enough ablation robustness authentic parsimony stability partial_views speed_accuracy real_scenes; do \
 	  $(BIN)/python experiments/$$name.py || exit 1; done
 	$(BIN)/python experiments/sources.py --keep .cues --seeds 1
 	$(BIN)/python experiments/fusion.py --seeds 1

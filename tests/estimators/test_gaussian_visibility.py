@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from gsc_jax.estimators.robust.class_roles import Roles, assign_roles
-from gsc_jax.estimators.robust.estimator import authentic_flag_share, pattern_errors
 from gsc_jax.estimators.robust.gaussian_visibility import stratified_sample, visibility
+from gsc_jax.estimators.robust.pattern_errors import authentic_flag_share, pattern_errors
 from gsc_jax.evidence.lifting import Evidence
 
 

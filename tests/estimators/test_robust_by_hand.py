@@ -15,8 +15,9 @@ from scipy.special import logit
 
 from gsc_jax.estimators.robust import estimator, gaussian_visibility
 from gsc_jax.estimators.robust.class_roles import Roles, assign_roles
-from gsc_jax.estimators.robust.estimator import RobustEstimator, error_weight
+from gsc_jax.estimators.robust.estimator import RobustEstimator
 from gsc_jax.estimators.robust.gaussian_visibility import visibility
+from gsc_jax.estimators.robust.pattern_errors import error_weight
 from gsc_jax.evidence.lifting import Evidence
 
 VIEWS = 12

@@ -116,12 +116,12 @@ def agreement(evidence: EvidenceOfViews, region: np.ndarray | None = None) -> fl
     up to four times `CHECKED` views, since inverted masks agree, too, of those that show a region,
     (N,) bool, if it has any Gaussian; None if hardly a view varies.
     """
-    region = slice(None) if region is None or not region.any() else region
+    shown = slice(None) if region is None or not region.any() else region
     total, tampered, showing, found = *np.zeros((2, evidence.shape[1])), [], []
     for index, view in enumerate(evidence.views()):
         total += np.asarray(view.total)
         tampered += np.asarray(view.tampered)
-        showing += [index] * bool(np.any(np.asarray(view.total)[region]))
+        showing += [index] * bool(np.any(np.asarray(view.total)[shown]))
     for index in showing[:: max(1, len(showing) // (4 * CHECKED))]:
         view = evidence.view(index)
         weight, own = np.asarray(view.total, float), np.asarray(view.tampered, float)

@@ -52,8 +52,10 @@ class WithRoles(RobustEstimator):
     turned: int = 0
     missed: float = 0.0
 
-    def _roles_by_fit(self, *sample: object) -> list[Roles]:
-        del sample
+    def _roles_by_fit(
+        self, seen: object, flagged: object, represents: object, parts: object
+    ) -> list[Roles]:
+        del seen, flagged, represents, parts
         return [
             Roles(
                 inverted=np.arange(VIEWS) < self.turned,

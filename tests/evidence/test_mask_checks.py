@@ -10,6 +10,7 @@ from gsc_jax import locate, observe
 from gsc_jax.benchmark.metrics import truth_mask
 from gsc_jax.benchmark.scenes import tampered_room
 from gsc_jax.benchmark.simulate import REGIMES, Failures, decoy_labels, simulate
+from gsc_jax.evidence.lifting import Evidence
 from gsc_jax.evidence.mask_checks import agreement, best_property, doubts, separation
 from gsc_jax.splat import render
 
@@ -91,6 +92,17 @@ def test_masks_at_random_places_agree_by_chance_only():
     agreed = agreement(observe(ROOM, CAMERAS, masks).evidence)
     assert agreed is not None
     assert agreed < 0.1 < 0.9 < (agreement(observe(ROOM, CAMERAS, truth()).evidence) or 0)
+
+
+def test_masks_are_judged_by_the_views_that_show_what_is_labelled():
+    """A third of the views shows the edit, and all have false alarms at random places."""
+    rng, here = np.random.default_rng(0), np.arange(400) < 100
+    total = np.where(here ^ (np.arange(12)[:, None] >= 4), np.float32(9), np.float32(0))
+    flagged = (rng.random(total.shape) < 0.05) | (np.arange(400) < 20)
+    masks = Evidence(total=total, tampered=total * flagged)
+    observation = dataclasses.replace(observe(ROOM, CAMERAS, truth()), evidence=masks)
+    for region, by_chance in ((None, True), (here & False, True), (~here, True), (here, False)):
+        assert any("than chance" in text for text in doubts(observation, region)) == by_chance
 
 
 @pytest.mark.parametrize(("wrong", "followed"), [(0.01, True), (0.03, False)])

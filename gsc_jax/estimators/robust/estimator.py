@@ -184,8 +184,8 @@ class RobustEstimator(Estimator):
             return nothing
         rows, represents = gaussian_visibility.stratified_sample(sums[0], sums[1], self.sample)
         sample = *gaussian_visibility.visibility(evidence, rows, self.half_weight), represents
-        places = np.asarray(means)[rows]
-        parts = gaussian_visibility.covisible_parts(*sample[::2], places, self.covisibility)
+        covisible, places = gaussian_visibility.covisible_parts, np.asarray(means)[rows]
+        parts = covisible(sample[0], represents, places, self.covisibility)
         if not (fits := self._roles_by_fit(*sample, parts)):
             return nothing
         # The criteria of several fits are nearly equal: rounding would choose the best one.

@@ -3,9 +3,9 @@
     python experiments/partial_views.py [--quick] [--out docs]
 
 Three made scenes: a room that is looked at from its middle, a flight over a garden, and five rooms
-side by side. An edit is where one of the cameras looks, and only the cameras near that one see it.
-The failures of the detector are those of `benchmark/simulate.py`, each alone and all at once; half
-of the cases are authentic, for the verdict. "robust, undivided" fits its classes to whole scenes.
+side by side. An edit is where one of the cameras looks, so that few of the others see it. The
+failures of the detector are those of `benchmark/simulate.py`; without the edit, those that need
+none, for the verdict. "robust, undivided" fits its classes to whole scenes.
 """
 
 import dataclasses
@@ -162,7 +162,7 @@ def rows_of(case: Case, methods: Mapping[str, Method]) -> Iterator[Row]:
         yield {**row, "verdict": _verdict(observed[str(row["regime"])], str(row["method"]))}
     before = without_edit(case)
     for regime, one in observe_regimes(before, detector_masks(before, FALSE_ALARMS)).items():
-        for name in ROBUST.keys() & methods.keys():
+        for name in [name for name in ROBUST if name in methods]:
             own = {**before.key, "regime": regime, "method": name, "f1": np.nan}
             yield {**own, "false_area": np.nan, "verdict": _verdict(one, name)}
 

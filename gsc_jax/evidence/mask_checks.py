@@ -24,6 +24,8 @@ MIN_CORRELATION = 0.1
 blobs is mostly lower, that of the mixture of all failures higher."""
 STRIDE = 2
 """Pixels from one to the next that is compared, along rows and columns."""
+FULL_VIEW = 0.2
+"""A view shows a region if it sees more than this share of what the best view sees of it."""
 QUANTILES = 64
 """Thresholds that are tried."""
 
@@ -53,7 +55,8 @@ def doubts(
             "they flag in all views. They are no evidence of an edit; use another detector."
         )
     agreed = agreement(observation.evidence)
-    if agreed is not None and agreed < MIN_CORRELATION:  # few views may show the region
+    some = region is not None and region.any()  # of which few views may show anything
+    if some and agreed is not None and agreed < MIN_CORRELATION:
         agreed = max(agreed, agreement(observation.evidence, region) or 0.0)
     if agreed is not None and agreed < MIN_CORRELATION:
         found.append(
@@ -113,16 +116,18 @@ def agreement(evidence: EvidenceOfViews, region: np.ndarray | None = None) -> fl
 
     The share of the weight of a Gaussian that a view flags is compared with the share that all
     other views flag, weighted by its weight in the view. The median of the absolute correlations of
-    up to four times `CHECKED` views, since inverted masks agree, too, of those that show a region,
-    (N,) bool, if it has any Gaussian; None if hardly a view varies.
+    up to four times `CHECKED` views, since inverted masks agree, too; with a region, (N,) bool, of
+    those that show it. That is higher if the region was chosen by the same masks. None if hardly a
+    view varies.
     """
-    shown = slice(None) if region is None or not region.any() else region
-    total, tampered, showing, found = *np.zeros((2, evidence.shape[1])), [], []
+    total, tampered, found = *np.zeros((2, evidence.shape[1])), []
+    shows = np.ones(evidence.shape[0])
     for index, view in enumerate(evidence.views()):
         total += np.asarray(view.total)
         tampered += np.asarray(view.tampered)
-        showing += [index] * bool(np.any(np.asarray(view.total)[shown]))
-    for index in showing[:: max(1, len(showing) // (4 * CHECKED))]:
+        shows[index] = 1.0 if region is None else np.asarray(view.total)[region].sum()
+    showing = np.flatnonzero(shows > FULL_VIEW * shows.max())
+    for index in showing[:: max(1, len(showing) // (4 * CHECKED))].tolist():
         view = evidence.view(index)
         weight, own = np.asarray(view.total, float), np.asarray(view.tampered, float)
         rest = total - weight

@@ -22,7 +22,8 @@ FULL_VIEW = 0.2
 LEAST_VIEW = 0.2
 """Visibility in [0, 1] above which the rate of a class in a view is used as its pattern."""
 HARDLY_SEEN = 0.05
-"""Visibility up to which a view does not show a class: what is seen there is no member of it."""
+"""Visibility in [0, 1], 1 % of what the best view sees of a class, up to which a view does not show
+it: what is seen there is no member of the class."""
 RATE_DIFFERENCE = 0.6
 """A view separates two classes if their rates differ by more."""
 SAME_PATTERN_VIEWS = 1.5
@@ -53,7 +54,8 @@ class Roles:
 
     `patterns` (C, V) bool say whether a class is flagged in a view, after the masks of the
     `inverted` views (V,) bool are turned; `rates` (C,), in which share of the `seen` (C,) views.
-    `missed` is the share of what tampered classes show that is clear in the views that flag them.
+    `unseen` (C, V) says which views do not show a tampered class. `missed` is the share of what
+    tampered classes show that is clear in the views that flag them; `parts` the number of parts.
     """
 
     inverted: np.ndarray
@@ -72,16 +74,14 @@ class Roles:
 
     @property
     def scene_probability(self) -> float:
-        """`scene_probability` of the first tampered class; less if `few_views` see it."""
-        found = scene_probability(self.rate, float(self.seen[np.argmax(self.tampered)]))
-        return min(found, MAX_OF_FEW) if self.few_views else found
+        """`scene_probability` of the first tampered class; less if `few_views` see it.
 
-    def of_any_part(self, probability: float) -> float:
-        """A scene probability, less where masks may agree by chance in any of several parts.
-
-        Those next to each other share views: they count as their square root (Bonferroni).
+        Masks may agree by chance in any of several parts: the odds are divided by the square root
+        of their number, since parts next to each other share views.
         """
-        return probability / (probability + self.parts**0.5 * (1 - probability))
+        found = scene_probability(self.rate, float(self.seen[np.argmax(self.tampered)]))
+        found = found / (found + self.parts**0.5 * (1 - found))
+        return min(found, MAX_OF_FEW) if self.few_views else found
 
     @property
     def few_views(self) -> bool:
@@ -118,9 +118,9 @@ def assign_roles(
     shown_share = weights / np.maximum(weights.max(axis=1, keepdims=True), 1e-30)
     seen = np.minimum(1.0, shown_share / FULL_VIEW)
     part = np.broadcast_to(part, len(mass))
-    table, authentic, inverted = _turned(rates, weights, seen, part, inversion=inversion)
-    others = mass > NEGLIGIBLE_WEIGHT * mass.sum()
-    others[authentic], authentic = False, authentic[0]
+    table, by_part, inverted = _authentic(rates, weights, seen, part, inversion=inversion)
+    others, authentic, seen = mass > NEGLIGIBLE_WEIGHT * mass.sum(), by_part[0], table.seen
+    others[by_part] = False
     if not others.any():
         return None
     frequency = np.where(others, table.flag_frequency(), -1.0)
@@ -152,12 +152,12 @@ def assign_roles(
     )
 
 
-def _turned(
+def _authentic(
     rates: np.ndarray, weights: np.ndarray, seen: np.ndarray, part: np.ndarray, *, inversion: bool
 ) -> tuple["_RateTable", np.ndarray, np.ndarray]:
     """Rates after inverted masks are turned, the authentic class of each part (P,), and `inverted`.
 
-    The first of these classes stands for what is authentic in all parts.
+    The first of these classes stands for all of them: it gets their rates, and where they are seen.
     """
     mass = weights.sum(axis=1)
     heaviest = _RateTable(rates=rates, seen=seen).heaviest(mass, part)
@@ -172,9 +172,10 @@ def _turned(
     clear = _RateTable(rates=rates, seen=seen).flag_frequency()[authentic] <= 0.5
     if clear.any():  # a part that most views flag shows little but the edit
         heaviest, authentic = heaviest[clear], authentic[clear]
-    shown, flagged = pooled(weights, weights * rates)
-    rates[authentic[0]] = flagged / np.maximum(shown, 1e-30)
-    seen[authentic[0]] = np.minimum(1.0, shown / max(shown.max(), 1e-30) / FULL_VIEW)
+    if len(authentic) > 1:
+        shown, flagged = pooled(weights, weights * rates)
+        rates[authentic[0]] = flagged / np.maximum(shown, 1e-30)
+        seen[authentic[0]] = np.minimum(1.0, shown / max(shown.max(), 1e-30) / FULL_VIEW)
     return _RateTable(rates=rates, seen=seen), authentic, inverted
 
 

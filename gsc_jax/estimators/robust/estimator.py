@@ -159,7 +159,7 @@ class RobustEstimator(Estimator):
             tamper=probability * edited,
             labels=labels,
             attribute=np.where(known, log_odds, 0.0).astype(np.float32),
-            verdict=roles.of_any_part(verdict) if roles else verdict,
+            verdict=verdict,
             reliability=diagnostics.reliability(evidence, labels, lifted.roles),
             rank=rank,
             warnings=[NONE_FLAGGED + diagnostics.FROM_PRIOR * bool(labels.any())]
@@ -174,12 +174,13 @@ class RobustEstimator(Estimator):
     ) -> "MaskEstimate":
         """Estimate the probability of each Gaussian from the masks alone.
 
-        The positions (N, D) only serve to find neighbours. If no mask covers anything, not
-        `flagged`, all probabilities are 0. They are deterministic, and finite for any evidence.
+        The positions (N, D) only serve to find neighbours and parts of the scene. If no mask covers
+        anything, not `flagged`, all probabilities are 0. They are deterministic, and finite for any
+        evidence.
         """
         sums = gaussian_visibility.summed_visibility(evidence, self.half_weight)
         seen = sums[0] > 0
-        nothing = MaskEstimate(np.zeros(len(seen), np.float32), seen, np.zeros(len(seen), np.int16))
+        nothing = MaskEstimate(np.zeros(len(seen), np.float32), seen, np.zeros(len(seen), np.int32))
         if not (flagged and seen.any()):
             return nothing
         rows, represents = gaussian_visibility.stratified_sample(sums[0], sums[1], self.sample)
@@ -252,7 +253,7 @@ class RobustEstimator(Estimator):
         shares = [(authentic_flag_share(roles, *sample), roles.missed) for roles in fits]
         weights = [[error_weight(self.class_log_odds, one) for one in both] for both in shares]
         log_odds = np.empty((len(fits), evidence.shape[1]), np.float32)
-        nearest = np.empty((len(fits), 2, evidence.shape[1]), np.int16)
+        nearest = np.empty((len(fits), 2, evidence.shape[1]), np.int32)
         # In blocks: arrays of all Gaussians, views and classes would take gigabytes.
         for block in blocks(evidence.shape[1], gaussian_visibility.BLOCK):
             seen, flagged = gaussian_visibility.visibility(evidence, block, self.half_weight)
@@ -274,7 +275,7 @@ class MaskEstimate:
     Attributes:
         probability: Probability of tampering, given an edit, shape (N,) float32; 0 if unseen.
         seen: Mask of the Gaussians visible in at least one view, shape (N,) bool.
-        region: Nearest class of the roles, a tampered one where labelled, shape (N,) int16.
+        region: Nearest class of the roles, a tampered one where labelled, shape (N,) int32.
         roles: Roles by the fit whose labels agree best; None if every fit has one class only.
         distinct: Whether at least three masks flag what would be labelled, and little else.
     """

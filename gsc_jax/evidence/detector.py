@@ -59,7 +59,10 @@ def fit_to_view(probability: Any, camera: Camera) -> np.ndarray:
 
 
 def resize_bilinear(image: Array, size: tuple[int, int], *, low_pass: bool = True) -> np.ndarray:
-    """Resize (h, w) or (h, w, D) bilinearly, by default after a low-pass filter if it shrinks."""
+    """Resize (h, w) or (h, w, D) bilinearly, by default after a low-pass filter if it shrinks.
+
+    Beyond the border, it has the values at the border.
+    """
     from skimage.transform import resize
 
     image = np.asarray(image, np.float32)

@@ -94,6 +94,17 @@ def test_each_part_has_something_authentic():
     assert (roles.patterns & ~roles.unseen)[roles.tampered].sum(axis=1).tolist() == [3, 3]
 
 
+def test_what_no_view_shows_together_is_compared_within_a_part_only():
+    """The first part has one class; two edits of the other one outweigh what is authentic there."""
+    weights = np.repeat([[100.0, 0], [0, 10], [0, 9], [0, 9]], 4, axis=1)
+    flagged = np.zeros((4, 8), bool)
+    flagged[2, 4:7] = flagged[3, 5:] = True
+    roles = assign_roles(np.where(flagged, HIGH, LOW), weights, np.array([0, 1, 1, 1]))
+    assert roles is not None
+    assert not roles.inverted.any()
+    assert not roles.patterns[0].any()
+
+
 def test_a_part_that_shows_little_but_the_edit_has_no_authentic_class():
     weights = np.array([[100.0] * 4, [20] * 4, [1] * 4])
     rates = np.array([[LOW] * 4, [HIGH] * 4, [LOW] * 4])

@@ -108,6 +108,10 @@ def test_log_odds_are_3_for_each_view_that_separates_two_classes(last, views):
     assert log_odds_of_one(share) == pytest.approx(3 * views, abs=0.01)
 
 
+def test_what_differs_from_two_classes_alike_is_authentic():
+    assert log_odds_of_one([0.5] * VIEWS, fits=((0, 1),)) == pytest.approx(-0.001, abs=5e-4)
+
+
 def test_of_similar_distractors_only_the_better_one_counts_against_an_edit():
     """The edit differs by 2.45 views, each of both distractors by 2.55: together they would win."""
     share = [1.0] * 8 + [1, 0.55, 0, 0]

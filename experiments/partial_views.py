@@ -39,7 +39,7 @@ from gsc_jax.benchmark.tamper import Edit
 from gsc_jax.estimators import RobustEstimator
 from gsc_jax.estimators.protocol import EVIDENCE_FROM
 from gsc_jax.render.orbit import look_at
-from gsc_jax.scene import Camera, Gaussians
+from gsc_jax.scene import Camera, Gaussians, InputError
 from gsc_jax.scene.camera import intrinsics
 from gsc_jax.scene.gaussians import concatenate
 
@@ -138,6 +138,8 @@ def made(name: str) -> Scene:
     """One of the scenes; a quick run has an ordinary small one."""
     if name == QUICK:
         return load_scene(name)
+    if name not in SCENES:
+        raise InputError(f"--scenes {name!r}: expected some of {', '.join(SCENES)}")
     gaussians, cameras, heldout = SCENES[name]()
     gaussians = jax.tree.map(np.asarray, gaussians)
     return Scene(name=name, gaussians=gaussians, cameras=cameras, heldout=heldout)

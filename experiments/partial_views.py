@@ -63,7 +63,7 @@ NEAR_THE_EDIT = 6
 
 
 def outward_cameras(n: int, *, seed: int = 0, prefix: str = "outward") -> list[Camera]:
-    """Make n cameras near the middle of a room that look at its walls."""
+    """Make n cameras near the middle of a room, each of which looks outward at a wall."""
     rng = np.random.default_rng([seed, 7])
     turns = 2 * np.pi * (np.arange(n) + rng.random()) * 5 / n  # five times round
     ahead = np.stack([np.cos(turns), rng.uniform(-0.3, 0.4, n), np.sin(turns)], axis=1)
@@ -146,7 +146,7 @@ def made(name: str) -> Scene:
 
 
 def edited(scene: Scene, edit: Edit, seed: int) -> Case:
-    """Edit a scene where the cameras that are close to one of them look."""
+    """Edit a scene at a place that a few neighbouring cameras look at."""
     centers = np.stack([camera.center for camera in scene.cameras])
     ahead = np.stack([np.asarray(camera.viewmat)[2, :3] for camera in scene.cameras])
     looked_at = centers + 2 * ahead
@@ -176,7 +176,7 @@ def _verdict(observed: CaseObservation, name: str) -> float | None:
 
 
 def verdicts(rows: Frame) -> str:
-    """Tabulate how the verdicts of edited and of authentic scenes differ."""
+    """Tabulate how well the scene probability separates edited from authentic scenes."""
     lines = []
     for name in ROBUST:
         own = where(rows, method=name)

@@ -1,7 +1,8 @@
 """Metrics of masks and labels.
 
-The metrics are those of IMDL-BenCo, which the paper's tables use: of each view, then the mean over
-the tampered views. Labels of Gaussians are counted likewise.
+The metrics are those of IMDL-BenCo, which the paper's tables use: P = TP / (TP + FP + e), R = TP /
+(TP + FN + e), F1 = 2 P R / (P + R + e) and IoU = TP / (TP + FP + FN + e) with e = 1e-8, in each
+view; then the mean over the tampered views. Labels of Gaussians are counted likewise.
 """
 
 import dataclasses

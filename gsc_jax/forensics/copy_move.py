@@ -98,7 +98,10 @@ def _coincidences(marked: np.ndarray, far: np.ndarray, neighbours: np.ndarray) -
 
 
 def nearest_duplicates(gaussians: Gaussians) -> tuple[np.ndarray, np.ndarray]:
-    """Distances to the most similar others in `appearance`, and rows, (N,); else inf and -1."""
+    """Distances to the most similar other Gaussians in `appearance`, and their rows, both (N,).
+
+    They are infinite and -1 beyond `APPEARANCE_RADIUS`.
+    """
     return _nearest(appearance(gaussians), APPEARANCE_RADIUS)
 
 

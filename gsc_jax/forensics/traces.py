@@ -127,7 +127,7 @@ def is_untrained(gaussians: Gaussians) -> np.ndarray:
 
 
 def sh_degree(gaussians: Gaussians, neighbours: np.ndarray) -> Trace:
-    """Detect harmonics that end at another degree than most: pasted ones are padded with zeros."""
+    """Detect Gaussians whose harmonics end at another degree than most, as pasted ones may."""
     sh = np.asarray(gaussians.sh)
     degrees = np.zeros(len(sh), int)
     for degree in range(1, gaussians.sh_degree + 1):

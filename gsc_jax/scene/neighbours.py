@@ -18,7 +18,10 @@ def order_of_leaves(points: np.ndarray) -> np.ndarray:
 
 
 def nearest_neighbours(points: np.ndarray, rows: np.ndarray, count: int) -> np.ndarray:
-    """The `count` < N others nearest to rows (M,) of points (N, 3), in order, (M, count) int32."""
+    """Find the nearest `count` < N other points of the rows (M,) of finite points (N, 3).
+
+    Returns indices into `points`, nearest first, shape (M, count) int32.
+    """
     tree = KDTree(points, compact_nodes=False, balanced_tree=False)
 
     def nearest(some: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""`robust` where each view shows a tenth of the scene: a street, along which the cameras move."""
+"""`robust` on a street along which the cameras move, so that a view shows a tenth of the scene."""
 
 import dataclasses
 
@@ -95,7 +95,7 @@ def test_each_part_has_something_authentic():
 
 
 def test_what_no_view_shows_together_is_compared_within_a_part_only():
-    """The first part has one class; two edits of the other one outweigh what is authentic there."""
+    """One of two parts of a scene has two edits, which outweigh what is authentic there."""
     weights = np.repeat([[100.0, 0], [0, 10], [0, 9], [0, 9]], 4, axis=1)
     flagged = np.zeros((4, 8), bool)
     flagged[2, 4:7] = flagged[3, 5:] = True

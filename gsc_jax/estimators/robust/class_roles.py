@@ -22,8 +22,8 @@ FULL_VIEW = 0.2
 LEAST_VIEW = 0.2
 """Visibility in [0, 1] above which the rate of a class in a view is used as its pattern."""
 HARDLY_SEEN = 0.05
-"""Visibility in [0, 1], 1 % of what the best view sees of a class, up to which a view does not show
-it: what is seen there is no member of the class."""
+"""A view does not show a class if its visibility there, in [0, 1], is at most this, 1 % of its
+weight in the best view. Then no Gaussian that the view shows belongs to the class."""
 RATE_DIFFERENCE = 0.6
 """A view separates two classes if their rates differ by more."""
 SAME_PATTERN_VIEWS = 1.5
@@ -74,10 +74,10 @@ class Roles:
 
     @property
     def scene_probability(self) -> float:
-        """`scene_probability` of the first tampered class; less if `few_views` see it.
+        """Probability that the scene was edited, from the views that flag the first tampered class.
 
-        Masks may agree by chance in any of several parts: the odds are divided by the square root
-        of their number, since parts next to each other share views.
+        At most `MAX_OF_FEW` if `few_views` see the class. Masks may agree by chance in any of
+        several parts: the odds are divided by the root of their number, as neighbours share views.
         """
         found = scene_probability(self.rate, float(self.seen[np.argmax(self.tampered)]))
         found = found / (found + self.parts**0.5 * (1 - found))
@@ -111,8 +111,9 @@ def assign_roles(
     """Assign a role to each class; None if all visible weight belongs to one class.
 
     `rates` are the flag rates by class and view, `weights` the weight of a class that a view sees,
-    both (K, V), and `part` (K,) numbers the parts of the scene, each of which has something
-    authentic. The options allow inverted masks, and distractors and second edits.
+    both (K, V), and `part` (K,) the number of the part of the scene that a class belongs to;
+    something in each part is authentic, unless most views flag it. The options allow inverted
+    masks, and distractors and second edits.
     """
     mass = weights.sum(axis=1)
     shown_share = weights / np.maximum(weights.max(axis=1, keepdims=True), 1e-30)
@@ -155,9 +156,10 @@ def assign_roles(
 def _authentic(
     rates: np.ndarray, weights: np.ndarray, seen: np.ndarray, part: np.ndarray, *, inversion: bool
 ) -> tuple["_RateTable", np.ndarray, np.ndarray]:
-    """Rates after inverted masks are turned, the authentic class of each part (P,), and `inverted`.
+    """Find what is authentic in each part of a scene, and turn the rates of inverted masks.
 
-    The first of these classes stands for all of them: it gets their rates, and where they are seen.
+    Returns the turned rates; the authentic classes (P,), the first of which gets the rates of all
+    of them; and which views are inverted, (V,) bool.
     """
     mass = weights.sum(axis=1)
     heaviest = _RateTable(rates=rates, seen=seen).heaviest(mass, part)

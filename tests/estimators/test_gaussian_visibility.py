@@ -26,6 +26,17 @@ def test_a_sample_is_half_flagged_and_represents_all_visible_gaussians():
     assert 45 <= (faint < 50).sum() <= 60
 
 
+def test_the_sample_is_the_same_in_any_order_of_the_file_where_most_shares_are_equal():
+    rng = np.random.default_rng(0)
+    seen = rng.uniform(0, 3, 1000)
+    flagged = np.where(rng.uniform(size=1000) < 0.1, seen, 0.0)
+    order = rng.permutation(1000)
+    rows, represents = stratified_sample(seen, flagged, 100)
+    permuted, again = stratified_sample(seen[order], flagged[order], 100)
+    assert rows.tolist() == order[permuted].tolist()
+    assert represents == pytest.approx(again)
+
+
 def test_pattern_errors_count_views_that_contradict_a_pattern():
     total = np.array([[8.0, 8.0], [8.0, 0.0]], np.float32)
     evidence = Evidence(total=total, tampered=np.array([[8.0, 2.0], [0.0, 0.0]], np.float32))

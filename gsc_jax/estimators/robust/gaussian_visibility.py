@@ -39,15 +39,16 @@ def stratified_sample(seen: np.ndarray, flagged: np.ndarray, size: int) -> tuple
     """Sample at most `size` Gaussians, half of them in proportion to how much of them is flagged.
 
     Given the visibility summed over the views and the flagged part of it, both (N,). The sample is
-    systematic along the Gaussians ordered by the flagged share, so that it depends neither on a
-    seed nor on the order of the file. Returns rows (S,), and how many Gaussians each represents.
+    systematic along the Gaussians ordered by the flagged share, then by how much of them is seen,
+    so it depends neither on a seed nor on the order of the file. Returns rows (S,), and how many
+    Gaussians each represents.
     """
     size = min(size, int(np.count_nonzero(seen)))
     share = flagged / np.maximum(seen, 1e-30)
     visible = np.minimum(seen, 1.0)
     flagged_part = visible * share
     density = visible / visible.sum() + flagged_part / max(flagged_part.sum(), 1e-30)
-    order = np.argsort(share, kind="stable")
+    order = np.lexsort((seen, share))
     cumulative = np.cumsum(density[order], dtype=np.float64)
     steps = (np.arange(size) + 0.5) / size * cumulative[-1]
     chosen = order[np.minimum(np.searchsorted(cumulative, steps), len(order) - 1)]

@@ -147,10 +147,8 @@ def _prior(
     gaussians: Gaussians, estimator: Estimator, prior: Prior | bool, monitor: Monitor
 ) -> Prior | None:
     """The given prior, or the evidence from the attributes where the estimator uses one."""
-    if isinstance(prior, Prior) and len(prior.known) != len(gaussians):
-        raise ValueError(f"the prior has {len(prior.known)} Gaussians, the scene {len(gaussians)}")
     if isinstance(prior, Prior):
-        return prior
+        return prior.of(len(gaussians))
     if not isinstance(prior, bool):
         raise ValueError(f"prior must be True, False or a Prior, got {type(prior).__name__}")
     if not (prior and estimator.uses_prior):

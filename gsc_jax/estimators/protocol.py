@@ -83,6 +83,12 @@ class Prior:
                 f"{self.known.dtype} {self.known.shape}"
             )
 
+    def of(self, count: int) -> Self:
+        """The prior itself; ValueError unless it is one of `count` Gaussians."""
+        if len(self.known) != count:
+            raise ValueError(f"the prior has {len(self.known)} Gaussians, the scene {count}")
+        return self
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Finding:

@@ -119,16 +119,13 @@ class RobustEstimator(Estimator):
         The attribute of the finding is the log odds of the probability. A prior may label Gaussians
         that no view sees; one of another number of Gaussians raises ValueError.
         """
-        means = observation.gaussians.means
-        if prior is not None and (given := len(prior.known)) != len(means):
-            raise ValueError(f"the prior has {given} Gaussians, the scene {len(means)}")
-        return self.estimate_from_evidence(observation.evidence, means, prior)
+        return self.estimate_from_evidence(observation.evidence, observation.gaussians.means, prior)
 
     def estimate_from_evidence(
         self, evidence: EvidenceOfViews, means: Array, prior: Prior | None = None
     ) -> Finding:
         """As `estimate`, for evidence (V, N) and positions (N, D), of which a prior needs three."""
-        prior = prior if self.uses_prior else None
+        prior = prior.of(len(means)) if prior is not None and self.uses_prior else None
         trivial, views = unanimous(evidence), float(evidence.shape[0])
         if trivial and (prior is None or evidence.all_flagged):
             # Masks that cover everything tell no edit from the rest.

@@ -53,8 +53,7 @@ def fuse(
     Gaussians visible in at least one view; the prior has a weight in [0, 1]. Returns probabilities,
     (N,) float32, and the scene probability; a prior of another size raises ValueError.
     """
-    if (given := len(prior.probability)) != len(probability):
-        raise ValueError(f"the prior has {given} Gaussians, expected {len(probability)}")
+    prior = prior.of(len(probability))
     masks_wrong = 1 - verdict if verdict < MIN_MASK_VERDICT else 0.0
     if prior.exact:
         masks_wrong = 1 - verdict / 2  # and half of the cases in which both are correct

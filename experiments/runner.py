@@ -38,6 +38,7 @@ CHANNELS = 32
 SAME = 2e-3
 """Largest difference of the F1 of these rows between machines."""
 CASE_KEYS = ["scene", "edit", "seed", "regime"]
+OTHER_CASES = "--methods: the rows in the folder are of other cases; measure all anew"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -134,6 +135,8 @@ def measured(args: Args, name: str, per_case: Iterable[Iterable[Row]]) -> Frame:
     for more in per_case:
         rows += more
         write_csv(partial, pd.DataFrame(rows))
+        if before is not None and not _cases(pd.DataFrame(rows)) <= _cases(before):
+            raise InputError(OTHER_CASES)  # now, and not after hours
     if not rows:
         raise InputError("nothing to measure: --scenes, --edits and --seeds leave no case")
     merged = pd.DataFrame(rows) if before is None else merge(before, pd.DataFrame(rows))
@@ -144,15 +147,18 @@ def measured(args: Args, name: str, per_case: Iterable[Iterable[Row]]) -> Frame:
 
 def merge(before: Frame, rows: Frame) -> Frame:
     """Append rows of some methods to rows of the others, measured before on the same cases."""
-    cases = [set(some[CASE_KEYS].itertuples(index=False, name=None)) for some in (before, rows)]
-    if cases[0] != cases[1]:
-        raise InputError("--methods: the rows in the folder are of other cases; measure all anew")
+    if _cases(before) != _cases(rows):
+        raise InputError(OTHER_CASES)
     measures = ["f1", "false_area"]  # F1 of authentic scenes does not exist
     then, now = (some.loc[some.method.isin(REFERENCE), measures] for some in (before, rows))
     if len(then) != len(now) or not np.allclose(then, now, atol=SAME, equal_nan=True):
         raise InputError("--methods: the rows in the folder are of other masks; measure all anew")
     new = rows[~rows.method.isin(REFERENCE)]
     return pd.concat([before[~before.method.isin(new.method)], new], ignore_index=True)
+
+
+def _cases(rows: Frame) -> set[tuple[Any, ...]]:
+    return set(rows[CASE_KEYS].itertuples(index=False, name=None))
 
 
 def start(main: Callable[[Any], None], description: str | None) -> None:

@@ -135,8 +135,13 @@ def test_rows_of_some_methods_are_merged_with_those_of_the_others(tmp_path):
     rows = runner.measured(args, "x", [[row(TRUTH, 1.0), row("b", 0.3), row("c", 0.4)]])
     expected = [*before[:2], row("b", 0.3), row("c", 0.4)]
     assert rows.to_dict("records") == read_csv(tmp_path / "x.csv").to_dict("records") == expected
+    rest = iter([[{**row("b", 0.3), "seed": 1}], [row("b", 0.3)]])
     with pytest.raises(InputError, match="other cases"):
-        runner.measured(args, "x", [[{**row("b", 0.3), "seed": 1}]])
+        runner.measured(args, "x", rest)
+    assert len(list(rest)) == 1, "refused before the second case is measured"
+    more = pd.DataFrame([*before, {**before[0], "seed": 1}])
+    with pytest.raises(InputError, match="other cases"):
+        runner.merge(more, pd.DataFrame(before))
     with pytest.raises(InputError, match="other masks"):
         runner.measured(args, "x", [[row(TRUTH, 0.9), row("b", 0.3)]])
     with pytest.raises(InputError, match="other masks"):

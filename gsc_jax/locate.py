@@ -116,7 +116,7 @@ def locate(
     """
     estimator, monitor = configured(method, config), monitor or Monitor()
     given, store = store, store or ArrayStore()
-    cameras = [] if detector is None and cameras in ((), []) else check_cameras(cameras)
+    cameras = check_cameras(cameras, least=int(detector is not None))
     detector = None if detector is None else as_detector(detector, cameras)
     gaussians, warnings = _usable(gaussians)
     if cameras:

@@ -18,6 +18,7 @@ from gsc_jax.evidence.lifting import Evidence, EvidenceOfViews
 from gsc_jax.losses import loss_2d, loss_2d_from_evidence, loss_3d, partition
 from gsc_jax.render.tiles import View
 from gsc_jax.scene import Array
+from gsc_jax.scene.errors import check_ranges
 from gsc_jax.scene.pytree import STATIC
 from gsc_jax.splat import composite
 
@@ -43,7 +44,7 @@ class LoopConfig:
         per_feature: Average one sign per attribute in eq. 8, as the released code does.
 
     Raises:
-        ValueError: if a number is negative, not finite, or larger than `MAX_WEIGHT`.
+        ValueError: if a number is negative, not finite, or larger than `MAX_WEIGHT`, or is a text.
     """
 
     lambda1: float = 1.0
@@ -56,11 +57,10 @@ class LoopConfig:
 
     def __post_init__(self) -> None:
         """Check the numbers; JAX also makes instances of traced values, which have none yet."""
-        for field in dataclasses.fields(self):
-            value = getattr(self, field.name)
-            most = np.iinfo(np.int32).max if field.name == "contrastive_start" else MAX_WEIGHT
-            if isinstance(value, int | float | np.number) and not 0 <= value <= most:
-                raise ValueError(f"{field.name} must be in [0, {most:g}], got {value}")
+        for name in ("lambda1", "lambda2", "beta", "gamma", "contrastive_start", "learning_rate"):
+            if isinstance(getattr(self, name), int | float | np.number | str):
+                whole = name == "contrastive_start"
+                check_ranges(self, {name: (0, 2**31 - 1) if whole else (0.0, MAX_WEIGHT)})
 
 
 class State(NamedTuple):

@@ -65,7 +65,9 @@ def test_a_single_mask_is_never_taken_for_inverted():
 
 
 def test_without_views_the_attributes_decide():
-    result, alone = locate(SCENE, (), None), estimate_from_attributes(forensic_evidence(SCENE))
-    assert np.array_equal(result.labels, alone.labels)
-    assert result.verdict == alone.verdict
-    assert not result.masks
+    alone = estimate_from_attributes(forensic_evidence(SCENE))
+    for nothing in ((), np.array([], object), iter(())):
+        result = locate(SCENE, nothing, None)
+        assert np.array_equal(result.labels, alone.labels)
+        assert result.verdict == alone.verdict
+        assert not result.masks

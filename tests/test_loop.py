@@ -159,7 +159,7 @@ def test_both_paths_agree_on_real_scenes(name, config):
     assert np.mean(fast.labels != slow.labels) < 1e-4
 
 
-@pytest.mark.parametrize("value", [-1.0, float("nan"), float("inf"), 1e300])
+@pytest.mark.parametrize("value", [-1.0, float("nan"), float("inf"), 1e300, True, "1"])
 @pytest.mark.parametrize("name", ["lambda1", "lambda2", "beta", "gamma", "learning_rate"])
 def test_weights_out_of_range_are_errors(name, value):
     with pytest.raises(ValueError, match=name):
@@ -170,8 +170,9 @@ def test_the_largest_numbers_are_valid_and_larger_ones_are_errors():
     LoopConfig(lambda1=1e6, contrastive_start=2**31 - 1)
     with pytest.raises(ValueError, match="lambda1"):
         LoopConfig(lambda1=float(np.nextafter(1e6, np.inf)))
-    with pytest.raises(ValueError, match="contrastive_start"):
-        LoopConfig(contrastive_start=2**31)
+    for start in (2**31, 1.5, "1"):
+        with pytest.raises(ValueError, match="contrastive_start must be a whole number in"):
+            LoopConfig(contrastive_start=start)  # pyright: ignore[reportArgumentType]
 
 
 def test_the_largest_weights_give_finite_attributes():

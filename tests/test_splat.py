@@ -304,8 +304,10 @@ def test_cameras_that_cannot_be_stacked_are_refused():
         gsc_jax.render(gaussians, [VIEW, camera(3, 3)])
     with pytest.raises(ValueError, match="to stack, got none"):
         gsc_jax.render_depth(gaussians, [])
-    with pytest.raises(ValueError, match="expected maps of 2 cameras, got 1"):
+    with pytest.raises(ValueError, match="expected a map of each camera, got 1 of 2"):
         gsc_jax.accumulate(gaussians, PAIR, [MAPS])
+    with pytest.raises(ValueError, match="expected a map of each camera, got 0 of 0"):
+        gsc_jax.accumulate(gaussians, [], [])
 
 
 def test_the_expected_depth_is_the_mean_over_the_weights():

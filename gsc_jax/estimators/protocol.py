@@ -159,9 +159,9 @@ class Estimator(abc.ABC):
     def check_fields(self, ranges: Mapping[str, tuple[float, float]]) -> None:
         """Raise ValueError for an unknown `Literal`, or a number out of `RANGES` and `ranges`."""
         for name, hint in typing.get_type_hints(type(self)).items():
-            known, value = typing.get_args(hint), getattr(self, name)
-            if typing.get_origin(hint) is Literal and value not in known:
-                raise ValueError(f"{name} must be one of {', '.join(known)}, got {value!r}")
+            known, own = typing.get_args(hint) or (True, False), getattr(self, name)
+            if (hint is bool or typing.get_origin(hint) is Literal) and own not in known:
+                raise ValueError(f"{name} must be one of {', '.join(map(str, known))}, got {own!r}")
         check_ranges(self, {**RANGES, **ranges})
 
 

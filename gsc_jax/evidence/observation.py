@@ -129,14 +129,14 @@ def observe(
     )
 
 
-def check_cameras(cameras: Camera | Iterable[Camera]) -> list[Camera]:
-    """The cameras as a list; InputError if there is none, one is no camera, or names repeat."""
+def check_cameras(cameras: Camera | Iterable[Camera], *, least: int = 1) -> list[Camera]:
+    """The cameras as a list; InputError if there are none, one is no camera, or names repeat."""
     cameras = [cameras] if isinstance(cameras, Camera | None) else list(cameras)
     if others := {type(camera).__name__ for camera in cameras if not isinstance(camera, Camera)}:
         raise InputError(f"cameras must be Camera objects, got {', '.join(sorted(others))}")
     for camera in cameras:
         check_camera(camera)
-    if not (names := [camera.name for camera in cameras]):
+    if len(names := [camera.name for camera in cameras]) < least:
         raise InputError("no cameras: expected at least one view of the scene")
     if duplicates := sorted({name for name in names if names.count(name) > 1}):
         raise InputError(

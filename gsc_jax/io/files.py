@@ -87,7 +87,7 @@ def memory_limit(gib: float | None = None) -> int:
 
     Raises InputError if it is not a positive number.
     """
-    if gib is not None and not (math.isfinite(gib) and gib > 0):
+    if gib is not None and not (math.isfinite(gib * GIB) and gib > 0):
         raise InputError(f"--memory {gib:g}: expected a positive number of GiB")
     if gib is not None:
         return int(gib * GIB)

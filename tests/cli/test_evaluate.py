@@ -173,7 +173,10 @@ def test_invalid_truths(case, folder, tmp_path):
     assert not (folder / "evaluation.json").exists()
 
 
-@pytest.mark.parametrize(("memory", "problem"), [("-1", "--memory -1"), ("1e-6", "of memory")])
+@pytest.mark.parametrize(
+    ("memory", "problem"),
+    [("-1", "--memory -1"), ("1e300", "--memory 1e+300"), ("1e-6", "of memory")],
+)
 def test_memory_is_bounded_by_an_option(case, folder, memory, problem):
     bound = ("--memory", memory)
     assert problem in refused("evaluate", folder, "--truth", case / "truth.npy", *bound)

@@ -183,6 +183,8 @@ def test_the_defaults_are_those_of_the_tables():
 
 WRONG = {
     "mask_rule": "all",
+    "inversion": "no",
+    "distractors": None,
     "sample": 0,
     "half_weight": 0.0,
     "threshold": 1.0,

@@ -44,7 +44,7 @@ class LoopConfig:
         per_feature: Average one sign per attribute in eq. 8, as the released code does.
 
     Raises:
-        ValueError: if a number is negative, not finite, or larger than `MAX_WEIGHT`, or is a text.
+        ValueError: if a weight is not in [0, `MAX_WEIGHT`], or the start is no whole number.
     """
 
     lambda1: float = 1.0

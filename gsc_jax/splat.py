@@ -284,7 +284,7 @@ def accumulate_maps(
     """
     if not isinstance(camera, Camera):
         if len(maps) != len(cameras := list(camera)) or not cameras:
-            raise ValueError(f"expected a map of each camera, got {len(maps)} of {len(cameras)}")
+            raise ValueError(f"expected V cameras and V maps, got {len(cameras)} and {len(maps)}")
         pairs = zip(cameras, maps, strict=True)
         return jnp.stack([accumulate_maps(gaussians, *pair, near=near) for pair in pairs]).sum(0)
     maps = require_finite("maps", jnp.asarray(maps, jnp.float32))

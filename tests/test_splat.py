@@ -304,9 +304,9 @@ def test_cameras_that_cannot_be_stacked_are_refused():
         gsc_jax.render(gaussians, [VIEW, camera(3, 3)])
     with pytest.raises(ValueError, match="to stack, got none"):
         gsc_jax.render_depth(gaussians, [])
-    with pytest.raises(ValueError, match="expected a map of each camera, got 1 of 2"):
+    with pytest.raises(ValueError, match="expected V cameras and V maps, got 2 and 1"):
         gsc_jax.accumulate(gaussians, PAIR, [MAPS])
-    with pytest.raises(ValueError, match="expected a map of each camera, got 0 of 0"):
+    with pytest.raises(ValueError, match="expected V cameras and V maps, got 0 and 0"):
         gsc_jax.accumulate(gaussians, [], [])
 
 

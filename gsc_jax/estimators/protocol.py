@@ -157,7 +157,7 @@ class Estimator(abc.ABC):
         return self
 
     def check_fields(self, ranges: Mapping[str, tuple[float, float]]) -> None:
-        """Raise ValueError for an unknown `Literal`, or a number out of `RANGES` and `ranges`."""
+        """Raise ValueError for an unknown `Literal` or switch, or a number out of its range."""
         for name, hint in typing.get_type_hints(type(self)).items():
             known, own = typing.get_args(hint) or (True, False), getattr(self, name)
             if (hint is bool or typing.get_origin(hint) is Literal) and own not in known:

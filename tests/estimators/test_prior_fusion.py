@@ -132,7 +132,7 @@ def test_invalid_priors_are_errors(name, value):
 
 def test_a_prior_of_another_size_is_an_error():
     with pytest.raises(ValueError, match="has 5 Gaussians, the scene 3"):
-        fuse(np.zeros(3, np.float32), 0.5, np.ones(3, bool), prior(np.zeros(5), 0.5))
+        prior(np.zeros(5), 0.5).of(3)
 
 
 LINE = np.linspace(0, 1, 1000)

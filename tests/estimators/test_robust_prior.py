@@ -183,6 +183,9 @@ def test_a_prior_with_weight_0_changes_nothing():
 
 
 def test_a_prior_of_another_size_is_an_error_whatever_the_masks_say():
-    for evidence in (decoy_in(4), decoy_in(0), decoy_in(VIEWS)):
-        with pytest.raises(ValueError, match=f"the prior has 3 Gaussians, the scene {COUNT}"):
-            estimate(evidence, prior=Prior(probability=np.ones(3), verdict=0.9, known=ALL[:3]))
+    other = Prior(probability=np.ones(3), verdict=0.9, known=ALL[:3])
+    for weight in (0.0, 1.0):
+        estimator = dataclasses.replace(ESTIMATOR, prior_weight=weight)
+        for evidence in (decoy_in(4), decoy_in(0), decoy_in(VIEWS)):
+            with pytest.raises(ValueError, match=f"the prior has 3 Gaussians, the scene {COUNT}"):
+                estimate(evidence, estimator, other)

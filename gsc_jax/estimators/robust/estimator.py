@@ -125,7 +125,8 @@ class RobustEstimator(Estimator):
         self, evidence: EvidenceOfViews, means: Array, prior: Prior | None = None
     ) -> Finding:
         """As `estimate`, for evidence (V, N) and positions (N, D), of which a prior needs three."""
-        prior = prior.of(len(means)) if prior is not None and self.uses_prior else None
+        prior = None if prior is None else prior.of(len(means))
+        prior = prior if self.uses_prior else None
         trivial, views = unanimous(evidence), float(evidence.shape[0])
         if trivial and (prior is None or evidence.all_flagged):
             # Masks that cover everything tell no edit from the rest.

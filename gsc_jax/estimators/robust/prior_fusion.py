@@ -21,7 +21,7 @@ PROBABILITY_FLOOR = 1e-9
 """Clip probabilities to this distance from 0 and 1, which bounds log odds by 21."""
 MIN_MASK_VERDICT = 0.15
 """Scene probability of the masks below which a prior may replace them: less than 44 % of many views
-flag the region. With masks that missed the edit in 40 % of the views, 30 cases had 0.45 or more."""
+flag the region. Where 40 % of the views missed an edit, 15 scenes of one part had 0.44 or more."""
 MIN_PARTS = 64
 """Least number of parts into which `rank_in_scene` divides the rest of a scene."""
 EXPONENT = 1 / 3
@@ -51,9 +51,8 @@ def fuse(
 
     `probability` (N,) and `verdict`, that of the scene, are from the masks; `seen` (N,) is True for
     Gaussians visible in at least one view; the prior has a weight in [0, 1]. Returns probabilities,
-    (N,) float32, and the scene probability; a prior of another size raises ValueError.
+    (N,) float32, and the scene probability.
     """
-    prior = prior.of(len(probability))
     masks_wrong = 1 - verdict if verdict < MIN_MASK_VERDICT else 0.0
     if prior.exact:
         masks_wrong = 1 - verdict / 2  # and half of the cases in which both are correct

@@ -151,12 +151,11 @@ class RobustEstimator(Estimator):
             both = prior_fusion.fuse(probability, from_masks, known, prior, self.prior_weight, rank)
             (probability, verdict), known = both, known | prior.known
         edited = lifted.distinct or max(verdict, from_masks) >= self.min_verdict
-        log_odds = prior_fusion.log_odds_of(probability)
         labels = (probability > self.threshold) & edited
         return Finding(
             tamper=probability * edited,
             labels=labels,
-            attribute=np.where(known, log_odds, 0.0).astype(np.float32),
+            attribute=np.where(known, prior_fusion.log_odds_of(probability), 0).astype(np.float32),
             verdict=verdict,
             reliability=diagnostics.reliability(evidence, labels, lifted.roles),
             rank=rank,

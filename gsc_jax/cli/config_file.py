@@ -106,8 +106,9 @@ def _checked(model: type[pydantic.BaseModel], table: Table, where: str, *, hint:
     try:  # as JSON, in which strict types still allow a list for a tuple and a text for a path
         valid = model.model_validate_json(json.dumps(table, default=str))
     except pydantic.ValidationError as error:
-        line = one_line(error, where, table, known=model.model_fields)
-        unknown = error.errors()[0]["type"] == "extra_forbidden"
+        nested = len(error.errors()[0]["loc"]) > 1  # in a table that has other keys than this one
+        line = one_line(error, where, table, known=() if nested else model.model_fields)
+        unknown = error.errors()[0]["type"] == "extra_forbidden" and not nested
         raise InputError(f"{line}; {hint}" if hint and unknown else line) from error
     return valid.model_dump(exclude_unset=True)
 

@@ -169,6 +169,13 @@ def test_invalid_content(case, tmp_path, text, expected):
     assert not (tmp_path / "out").exists()
 
 
+def test_an_unknown_key_of_the_loop_is_not_followed_by_the_names_of_the_outer_table(case, tmp_path):
+    file = tmp_path / "run.toml"
+    file.write_text("[command]\nmethod = 'paper'\n[config.loop]\nfoo = 1")
+    message = refused(*given(case), "--config", file, "--out", tmp_path / "out")
+    assert message.rstrip().endswith("unknown key 'loop.foo'"), message
+
+
 @pytest.mark.parametrize(
     ("name", "content", "expected"),
     [

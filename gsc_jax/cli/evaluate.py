@@ -89,7 +89,7 @@ def _by_gaussian(results: Results, truth: Path) -> dict[str, Any]:
 
 
 def _by_view(results: Results, masks: Path, limit: int, warnings: list[str]) -> dict[str, Any]:
-    """Scores of the final masks and of those of the detector, and how much of a view is edited."""
+    """Score the final masks and the masks of the detector; and the edited share of each view."""
     views, truth = results.cameras, FolderDetector(masks, max_bytes=limit)
     chosen = truth.select(views)
     if missing := len(views) - len(chosen):

@@ -130,7 +130,7 @@ def observe(
 
 
 def check_cameras(cameras: Camera | Iterable[Camera], *, least: int = 1) -> list[Camera]:
-    """The cameras as a list; InputError for fewer than `least`, other objects or equal names."""
+    """List the cameras; InputError for fewer than `least`, other types, or two of one name."""
     cameras = [cameras] if isinstance(cameras, Camera | None) else list(cameras)
     if others := {type(camera).__name__ for camera in cameras if not isinstance(camera, Camera)}:
         raise InputError(f"cameras must be Camera objects, got {', '.join(sorted(others))}")
